@@ -1,0 +1,1 @@
+"""Score depth maps and images: arrays in, numbers out."""

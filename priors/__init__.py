@@ -1,0 +1,1 @@
+"""Make, filter and cache metric depth priors for street drives."""

@@ -1,0 +1,316 @@
+"""KITTI raw: date folders with drive folders in them, as downloaded ("synced+rectified").
+
+    2011_09_26/calib_{cam_to_cam,velo_to_cam,imu_to_velo}.txt
+    2011_09_26/2011_09_26_drive_0001_sync/{image_00..03,velodyne_points,oxts}/{data/,timestamps.txt}
+
+Quirks kept here:
+- Everything is joined by frame id: drives miss scans, images may cover fewer frames than the LiDAR.
+- image_02 is not camera 0: each P_rect has its own offset, and the sweep goes through camera 0's rectification.
+- Poses come from oxts in metres. The world is the IMU's frame at the first oxts file (x forward, y left, z up).
+- A sweep is one turn of the scanner, not a moment: the cameras are triggered when it faces forward, what lies to the
+  left was measured up to 50 ms before that, to the right after it.
+- Pixel centres are integers: with the two facts above our projection repeats the official `velodyne_raw` maps
+  (99.99 % of the common pixels within 2 cm on drive 0001; tests/test_kitti_raw.py).
+- The depth maps (`groundtruth`, `velodyne_raw`) are other downloads: looked for beside, or under --truth.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from priors import codecs
+from priors.drives import DriveOptions
+from priors.drives._files import IMAGE_SUFFIXES, digest, need, read_key_values, read_text, read_times, stems
+from priors.errors import DataError
+from priors.geometry import invert
+from priors.types import Camera, Depth, Frame, Image, Matrix, Sweep
+
+EARTH_RADIUS_M = 6378137.0
+SWEEP_S = 0.1
+# The scanner turns clockwise seen from above: azimuth (x forward, y left) falls as time passes.
+SECONDS_PER_RADIAN = -SWEEP_S / (2 * np.pi)
+PARTNER = {"image_00": "image_01", "image_01": "image_00", "image_02": "image_03", "image_03": "image_02"}
+TRUTH_FOLDERS = ("kitti_depth", "data_depth_annotated", "data_depth_velodyne", "depth")
+
+
+def recognises(path: Path) -> bool:
+    """Tell whether the folder is a drive, a date or a folder of dates."""
+    return next(_drive_folders(path), None) is not None
+
+
+def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
+    """Open one drive; path is the drive's folder, or a parent of it with options.drive."""
+    found = sorted(_drive_folders(path))
+    if options.drive is not None:
+        found = [folder for folder in found if folder.name == options.drive]
+    if not found:
+        raise DataError(f"{path}: no drive {options.drive or 'folder (image_02/data, velodyne_points/data)'} in it")
+    if len(found) > 1:
+        raise DataError(f"{path}: holds {len(found)} drives: choose with --drive {found[0].name} (or another)")
+    return KittiRaw(found[0], options.camera or "image_02", options.truth)
+
+
+def _drive_folders(path: Path) -> Iterator[Path]:
+    """Yield drive folders at path, one or two levels below."""
+    for pattern in (".", "*", "*/*"):
+        for folder in [path] if pattern == "." else path.glob(pattern):
+            if any((folder / name / "data").is_dir() for name in PARTNER):
+                yield folder
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What a date's three files say about one camera of the rig."""
+
+    camera: Camera
+    T_cam_cam0: Matrix
+    T_cam0_velo: Matrix | None
+    T_velo_imu: Matrix | None
+
+
+class KittiRaw:
+    """One camera's view of one drive."""
+
+    def __init__(self, folder: Path, camera: str = "image_02", truth: Path | None = None) -> None:
+        self.folder, self.camera_name = folder, camera
+        if camera not in PARTNER:
+            raise DataError(f"{folder}: no camera {camera!r}: choose one of {', '.join(PARTNER)}")
+        self._images = stems(folder / camera / "data", IMAGE_SUFFIXES)
+        if not self._images:
+            raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
+        self._others = stems(folder / PARTNER[camera] / "data", IMAGE_SUFFIXES)
+        self._sweeps = stems(folder / "velodyne_points" / "data", [".bin"])
+        self._oxts = stems(folder / "oxts" / "data", [".txt"])
+        self.ids = list(self._images)
+        self.calibration = read_calibration(folder.parent, camera)
+        self.baseline_m, self.side = self._read_pair()
+        self._truth_option = truth
+        self._maps = {kind: self._find_maps(kind, truth) for kind in ("groundtruth", "velodyne_raw")}
+
+    @property
+    def name(self) -> str:
+        """Drive folder's name; cameras other than the usual one are named too."""
+        return self.folder.name if self.camera_name == "image_02" else f"{self.folder.name}-{self.camera_name}"
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest records and `open_drive` needs."""
+        truth = None if self._truth_option is None else str(Path(self._truth_option).resolve())
+        path = str(self.folder.resolve())
+        return {"dataset": "kitti_raw", "path": path, "camera": self.camera_name, "truth": truth}
+
+    def fingerprint(self) -> str:
+        """Digest calibration, oxts and the first image."""
+        calibration = sorted(self.folder.parent.glob("calib_*.txt"))
+        return digest([*calibration, *self._oxts.values(), next(iter(self._images.values()))])
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __getitem__(self, index: int) -> Frame:
+        id_ = self.ids[index]
+        sources: dict[str, Any] = {"image": partial(self._read_image, self._images[id_])}
+        missing = {
+            "other": f"no image {PARTNER[self.camera_name]}/data/{id_} in {self.folder}: stereo needs both cameras",
+            "sweep": f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data",
+            "truth": f"no proj_depth/groundtruth map for {self.folder.name}: name its folder with --truth",
+            "sparse": f"no proj_depth/velodyne_raw map for {self.folder.name}: name its folder with --truth",
+            "sky": "KITTI has no sky masks",
+        }
+        if id_ in self._others:
+            sources["other"] = partial(self._read_image, self._others[id_])
+        if self._sweeps and self.calibration.T_cam0_velo is not None:
+            sources["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
+        for what, kind in (("truth", "groundtruth"), ("sparse", "velodyne_raw")):
+            if id_ in self._maps[kind]:
+                sources[what] = partial(self._read_map, self._maps[kind][id_])
+        return Frame(
+            id=id_,
+            camera=self.calibration.camera,
+            readers=sources,
+            missing=missing,
+            T_world_cam=self._pose(id_),
+            T_cam_lidar=self._T_cam_velo,
+            time_s=self._times.get(id_),
+            baseline_m=self.baseline_m,
+            side=self.side,
+        )
+
+    @cached_property
+    def _T_cam_velo(self) -> Matrix | None:
+        T_cam0_velo = self.calibration.T_cam0_velo
+        return None if T_cam0_velo is None else self.calibration.T_cam_cam0 @ T_cam0_velo
+
+    @cached_property
+    def _times(self) -> dict[str, float]:
+        """Camera times by frame id; the file counts frames from id 0, whichever images were kept."""
+        path = self.folder / self.camera_name / "timestamps.txt"
+        if not path.exists():
+            return {}
+        width = len(self.ids[0])
+        return {f"{number:0{width}d}": time for number, time in enumerate(read_times(path))}
+
+    def _read_pair(self) -> tuple[float | None, Any]:
+        side = "left" if self.camera_name in ("image_00", "image_02") else "right"
+        if not self._others:
+            return None, side
+        partner = read_calibration(self.folder.parent, PARTNER[self.camera_name])
+        offset_m = float(self.calibration.T_cam_cam0[0, 3] - partner.T_cam_cam0[0, 3])
+        baseline_m = offset_m if side == "left" else -offset_m
+        if baseline_m <= 0:
+            file = self.folder.parent / "calib_cam_to_cam.txt"
+            found = f"baseline {self.camera_name} - {PARTNER[self.camera_name]} is {baseline_m:.3f} m"
+            raise DataError(f"{file}: {found}, expected > 0: are the two P_rect swapped?")
+        return baseline_m, side
+
+    def _read_image(self, path: Path) -> Image:
+        return check_size(codecs.read_image(path), path, self.calibration.camera)
+
+    def _read_map(self, path: Path) -> Depth:
+        return Depth(check_size(codecs.read_depth_png(path), path, self.calibration.camera))
+
+    def _find_maps(self, kind: str, truth: Path | None) -> dict[str, Path]:
+        """Find the drive's depth maps of one kind, by frame id."""
+        if truth is not None:
+            roots = [truth, *(truth / name for name in TRUTH_FOLDERS)]
+        else:
+            above = [self.folder.parent.parent, self.folder.parent.parent.parent]
+            roots = [self.folder.parent, *above, *(root / name for root in above for name in TRUTH_FOLDERS)]
+        for root in roots:
+            for split in ("", "train", "val"):
+                maps = stems(root / split / self.folder.name / "proj_depth" / kind / self.camera_name, [".png"])
+                if maps and (truth is not None or self._fits(next(iter(maps.values())))):
+                    return maps
+        if truth is not None and kind == "groundtruth":
+            where = f"[train/]{self.folder.name}/proj_depth/groundtruth/{self.camera_name}"
+            raise DataError(f"{truth}: --truth should hold {where}, found none")
+        return {}
+
+    def _fits(self, path: Path) -> bool:
+        """Tell whether maps found beside are for images of this size (a resized copy of a drive has its name too)."""
+        return codecs.read_depth_png(path).shape == self.calibration.camera.size
+
+    def _pose(self, id_: str) -> Matrix | None:
+        """T_world_cam at a frame; None where the drive has no oxts for it."""
+        T_world_velo = self._T_world_velo(id_)
+        if T_world_velo is None or self._T_cam_velo is None:
+            return None
+        return T_world_velo @ invert(self._T_cam_velo)
+
+    def _T_world_velo(self, id_: str) -> Matrix | None:
+        if id_ not in self._oxts or self.calibration.T_velo_imu is None:
+            return None
+        first = _imu_pose(next(iter(self._oxts.values())), self._mercator_scale)
+        T_world_imu = invert(first) @ _imu_pose(self._oxts[id_], self._mercator_scale)
+        return T_world_imu @ invert(self.calibration.T_velo_imu)
+
+    @cached_property
+    def _mercator_scale(self) -> float:
+        latitude = _read_oxts(next(iter(self._oxts.values())))[0]
+        return float(np.cos(np.radians(latitude)))
+
+    def _read_sweep(self, number: int, width: int) -> Sweep | None:
+        id_ = f"{number:0{width}d}"
+        if id_ not in self._sweeps:
+            return None
+        xyz_m = read_sweep_file(self._sweeps[id_])
+        velocity = self._velocity(number, width)
+        time_s = None
+        if velocity is not None:
+            azimuth = np.arctan2(xyz_m[:, 1], xyz_m[:, 0])
+            time_s = (SECONDS_PER_RADIAN * azimuth).astype(np.float32)
+        return Sweep(xyz_m, self._T_world_velo(id_), time_s, velocity)
+
+    def _velocity(self, number: int, width: int) -> Matrix | None:
+        """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame."""
+        around = [(k, self._T_world_velo(f"{number + k:0{width}d}")) for k in (-1, 0, 1)]
+        known = [(k, pose) for k, pose in around if pose is not None]
+        if len(known) < 2:
+            return None
+        (first, T_world_a), (last, T_world_b) = known[0], known[-1]
+        seconds = (last - first) * SWEEP_S
+        T_a_b = invert(T_world_a) @ T_world_b
+        return np.concatenate([T_a_b[:3, 3], Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()]) / seconds
+
+
+def check_size(array: npt.NDArray[Any], path: Path, camera: Camera) -> Any:
+    """Return the array, or raise DataError where its size is not the calibration's."""
+    if array.shape[:2] != camera.size:
+        found, wanted = (f"{width}x{height}" for height, width in (array.shape[:2], camera.size))
+        raise DataError(f"{path}: is {found}, the calibration is for {wanted}: was one of them resized?")
+    return array
+
+
+def read_calibration(date: Path, camera: str) -> Calibration:
+    """Read a date's calibration files for one camera (image_00 .. image_03)."""
+    path = date / "calib_cam_to_cam.txt"
+    values = read_key_values(path)
+    number = camera[-2:]
+    P = need(values, f"P_rect_{number}", 12, path).reshape(3, 4)
+    width, height = need(values, f"S_rect_{number}", 2, path)
+    R_rect = np.eye(4)
+    R_rect[:3, :3] = need(values, "R_rect_00", 9, path).reshape(3, 3)
+    T_cam_cam0 = np.eye(4)
+    T_cam_cam0[:3, 3] = np.linalg.solve(P[:, :3], P[:, 3])
+    T_cam_velo = _read_rigid(date / "calib_velo_to_cam.txt")
+    return Calibration(
+        camera=Camera(P[:, :3].copy(), (int(height), int(width))),
+        T_cam_cam0=T_cam_cam0,
+        T_cam0_velo=None if T_cam_velo is None else R_rect @ T_cam_velo,
+        T_velo_imu=_read_rigid(date / "calib_imu_to_velo.txt"),
+    )
+
+
+def _read_rigid(path: Path) -> Matrix | None:
+    """Read R and T as (4, 4); None where the file is not there (image-only downloads)."""
+    if not path.exists():
+        return None
+    values = read_key_values(path)
+    T_a_b = np.eye(4)
+    T_a_b[:3, :3] = need(values, "R", 9, path).reshape(3, 3)
+    T_a_b[:3, 3] = need(values, "T", 3, path)
+    return T_a_b
+
+
+def read_sweep_file(path: Path) -> npt.NDArray[np.float32]:
+    """Read a velodyne .bin (float32 x y z reflectance): (n, 3) metres, points that are not finite left out."""
+    try:
+        size = path.stat().st_size
+        data = np.fromfile(path, dtype="<f4")
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+    if size % 16:
+        raise DataError(f"{path}: {size} bytes are not whole points of 16 bytes: truncated, download it again")
+    if size == 0:
+        raise DataError(f"{path}: empty sweep: download it again, or leave the frame out with --frames")
+    xyz_m = data.reshape(-1, 4)[:, :3]
+    finite = np.isfinite(xyz_m).all(axis=1)
+    return np.ascontiguousarray(xyz_m if finite.all() else xyz_m[finite])
+
+
+def _read_oxts(path: Path) -> npt.NDArray[np.float64]:
+    """Read latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad) from an oxts file."""
+    words = read_text(path).split()
+    try:
+        values = np.array([float(word) for word in words[:6]])
+    except ValueError as error:
+        raise DataError(f"{path}: oxts fields are not numbers: download it again") from error
+    if values.size < 6 or not np.isfinite(values).all():
+        raise DataError(f"{path}: expected 6 finite oxts fields (lat lon alt roll pitch yaw), found {values.tolist()}")
+    return values
+
+
+def _imu_pose(path: Path, scale: float) -> Matrix:
+    """Turn an oxts file into (4, 4): Mercator metres and Rz(yaw) Ry(pitch) Rx(roll), as KITTI's devkit does."""
+    latitude, longitude, altitude_m, roll, pitch, yaw = _read_oxts(path)
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
+    T[0, 3] = scale * EARTH_RADIUS_M * np.radians(longitude)
+    T[1, 3] = scale * EARTH_RADIUS_M * np.log(np.tan(np.pi / 4 + np.radians(latitude) / 2))
+    T[2, 3] = altitude_m
+    return T

@@ -1,0 +1,171 @@
+"""The few types that everything else leans on. Units and frames are in the names."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Literal, Protocol, Self, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from priors.errors import DataError
+
+Image: TypeAlias = npt.NDArray[np.uint8]
+"""uint8, (height, width, 3) RGB or (height, width) grey."""
+FloatMap: TypeAlias = npt.NDArray[np.float32]
+Mask: TypeAlias = npt.NDArray[np.bool_]
+Matrix: TypeAlias = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Camera:
+    """A rectified pinhole camera with OpenCV axes: x right, y down, z forward."""
+
+    K: Matrix
+    """(3, 3), pixels; the centre of the top-left pixel is (0, 0), as OpenCV and KITTI have it."""
+    size: tuple[int, int]
+    """(height, width), pixels."""
+
+    @property
+    def fx(self) -> float:
+        """Focal length along x, pixels."""
+        return float(self.K[0, 0])
+
+
+@dataclass(frozen=True, slots=True)
+class Depth:
+    """A depth map: what every method returns and the cache stores."""
+
+    depth_m: FloatMap
+    """(height, width) float32, distance along the camera's z axis in metres; 0 = no value."""
+    confidence: FloatMap | None = None
+    """(height, width) float32 in [0, 1], 0 where depth_m is 0; None where the method has none."""
+
+    @property
+    def valid(self) -> Mask:
+        """True where there is a value."""
+        return self.depth_m > 0
+
+    @property
+    def density(self) -> float:
+        """Share of the pixels that have a value, in [0, 1]."""
+        return float(np.mean(self.valid)) if self.depth_m.size else 0.0
+
+    def keep(self, mask: Mask) -> "Depth":
+        """Return the map with everything outside mask (height, width) made invalid."""
+        confidence = None if self.confidence is None else np.where(mask, self.confidence, np.float32(0))
+        return Depth(np.where(mask, self.depth_m, np.float32(0)), confidence)
+
+
+@dataclass(frozen=True, slots=True)
+class Sweep:
+    """One rotation of a LiDAR, in the LiDAR's own frame (x forward, y left, z up)."""
+
+    xyz_m: npt.NDArray[np.float32]
+    """(n, 3) metres."""
+    T_world_lidar: Matrix | None
+    """(4, 4) pose at the sweep's reference time; None where the drive has no poses."""
+    time_s: npt.NDArray[np.float32] | None = None
+    """(n,) seconds from the reference time to each point's own; None: motion is already compensated."""
+    velocity: Matrix | None = None
+    """(6,) ego motion in the LiDAR's frame at the reference time: m/s, then rad/s; None where unknown."""
+
+
+Reader: TypeAlias = Callable[[], Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """One moment of a drive as one camera sees it; files are read when asked for, not before."""
+
+    id: str
+    """The data set's own frame id: file stem, e.g. 0000000005. What caches and truth are joined by."""
+    camera: Camera
+    readers: Mapping[str, Callable[..., Any]]
+    """What can be read: image, other, sweep, truth, sparse, sky. Each is called only when needed."""
+    missing: Mapping[str, str] = field(default_factory=dict)
+    """Why a reader is not there and what to do, one line each."""
+    T_world_cam: Matrix | None = None
+    """(4, 4) camera to world, metres."""
+    T_cam_lidar: Matrix | None = None
+    """(4, 4) LiDAR to camera, metres."""
+    time_s: float | None = None
+    """Seconds since the drive's first frame."""
+    baseline_m: float | None = None
+    """Distance to the other camera of the stereo pair, metres, > 0."""
+    side: Literal["left", "right"] = "left"
+    """Which eye of the pair this camera is."""
+
+    def has(self, what: str) -> bool:
+        """Tell whether `what` (image, other, sweep, truth, sparse, sky) can be read here."""
+        return what in self.readers
+
+    def read(self, what: str, *args: Any) -> Any:
+        """Read `what`, or raise DataError with the drive's reason why it is not there."""
+        if what not in self.readers:
+            raise DataError(f"frame {self.id}: {self.missing.get(what, f'this drive has no {what}')}")
+        return self.readers[what](*args)
+
+    def image(self) -> Image:
+        """Read this camera's image: uint8 (h, w, 3) RGB, or (h, w) where the camera is grey."""
+        return self.read("image")  # type: ignore[no-any-return]
+
+    def other(self) -> Image:
+        """Read the image of the pair's other camera, same moment, same shape."""
+        return self.read("other")  # type: ignore[no-any-return]
+
+    def sweep(self, offset: int = 0) -> Sweep | None:
+        """Read the LiDAR sweep `offset` frames from this one; None where the drive misses that one.
+
+        Raises DataError where the drive has no LiDAR at all, or the file is damaged.
+        """
+        return self.read("sweep", offset)  # type: ignore[no-any-return]
+
+    def truth(self) -> Depth:
+        """Read the true depth, sparse where the data set's is."""
+        return self.read("truth")  # type: ignore[no-any-return]
+
+    def sparse(self) -> Depth:
+        """Read the data set's own sparse depth map (KITTI velodyne_raw): completion's input."""
+        return self.read("sparse")  # type: ignore[no-any-return]
+
+    def sky(self) -> Mask:
+        """Read the true sky mask, where the data set knows it."""
+        return self.read("sky")  # type: ignore[no-any-return]
+
+
+class Drive(Protocol):
+    """A lazily read sequence of frames from one camera."""
+
+    @property
+    def name(self) -> str:
+        """Folder name in the cache."""
+        ...
+
+    @property
+    def ids(self) -> Sequence[str]:
+        """Frame ids in time order."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest records and `open_drive` needs to open it again."""
+        ...
+
+    def fingerprint(self) -> str:
+        """Return a digest of calibration, poses and the first image: part of a cache's key."""
+        ...
+
+    def __len__(self) -> int: ...
+
+    def __getitem__(self, index: int) -> Frame: ...
+
+
+class Method(Protocol):
+    """A way to make depth: a frozen dataclass whose fields are flags, cache key and record."""
+
+    def resolve(self, frame: Frame) -> Self:
+        """Return the config with every 'auto' decided from the drive's first frame."""
+        ...
+
+    def __call__(self, frame: Frame) -> Depth:
+        """Make the frame's depth map."""
+        ...
