@@ -107,30 +107,30 @@ class Frame:
 
     def image(self) -> Image:
         """Read this camera's image: uint8 (h, w, 3) RGB, or (h, w) where the camera is grey."""
-        return self.read("image")  # type: ignore[no-any-return]
+        return self.read("image")
 
     def other(self) -> Image:
         """Read the image of the pair's other camera, same moment, same shape."""
-        return self.read("other")  # type: ignore[no-any-return]
+        return self.read("other")
 
     def sweep(self, offset: int = 0) -> Sweep | None:
         """Read the LiDAR sweep `offset` frames from this one; None where the drive misses that one.
 
         Raises DataError where the drive has no LiDAR at all, or the file is damaged.
         """
-        return self.read("sweep", offset)  # type: ignore[no-any-return]
+        return self.read("sweep", offset)
 
     def truth(self) -> Depth:
         """Read the true depth, sparse where the data set's is."""
-        return self.read("truth")  # type: ignore[no-any-return]
+        return self.read("truth")
 
     def sparse(self) -> Depth:
         """Read the data set's own sparse depth map (KITTI velodyne_raw): completion's input."""
-        return self.read("sparse")  # type: ignore[no-any-return]
+        return self.read("sparse")
 
     def sky(self) -> Mask:
         """Read the true sky mask, where the data set knows it."""
-        return self.read("sky")  # type: ignore[no-any-return]
+        return self.read("sky")
 
 
 class Drive(Protocol):
