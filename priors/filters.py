@@ -270,6 +270,12 @@ class Filters:
         """Return the active filters with their settings: what the cache's key and manifest hold."""
         return {type(step).__name__: asdict(step) for step in self.steps()}  # type: ignore[call-overload]
 
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Return what a frame must have for the active filters: image, truth, other."""
+        needs = {"image": self.sky == "mask", "truth": self.truth_mask, "other": self.left_right is not None}
+        return tuple(what for what, needed in needs.items() if needed)
+
     def __call__(self, depth: Depth, frame: Frame) -> Depth:
         """Apply the active filters."""
         for step in self.steps():

@@ -162,6 +162,11 @@ class Drive(Protocol):
 class Method(Protocol):
     """A way to make depth: a frozen dataclass whose fields are flags, cache key and record."""
 
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """What a frame must have (image, other, sweep, sparse) for this method to work on it."""
+        ...
+
     def resolve(self, frame: Frame) -> Self:
         """Return the config with every 'auto' decided from the drive's first frame."""
         ...

@@ -1,0 +1,44 @@
+# Two commands set everything up on a fresh machine: `make demo` and `make test`.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+DEMO ?= demo
+PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+
+
+.PHONY: demo test slow lint types bench clean
+
+$(VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(PIP) --editable .
+	touch $@
+
+$(VENV)/.dev: $(VENV)/.installed
+	$(PIP) --editable .[dev]
+	touch $@
+
+demo: $(VENV)/.installed  ## the embedded street: written, turned into three priors, scored, drawn
+	$(BIN)/priors street $(DEMO)/street --frames 12 --size 1242x375
+	for method in lidar completion stereo; do \
+		$(BIN)/priors build $(DEMO)/street --method $$method --cache $(DEMO)/cache || exit 1; done
+	$(BIN)/priors eval $(DEMO)/cache --save $(DEMO)/table.md
+	$(BIN)/priors show $(DEMO)/cache --frames 5 --out $(DEMO)/pictures
+
+test: $(VENV)/.dev  ## the quick tests
+	$(BIN)/python -m pytest -m "not slow"
+
+slow: $(VENV)/.dev  ## the slow ones
+	$(BIN)/python -m pytest -m slow
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+bench: $(VENV)/.dev  ## interleaved timings and errors against named peers; see docs/benchmarks.md
+	for file in tests/bench/bench_*.py; do $(BIN)/python $$file || exit 1; done
+
+clean:
+	rm -rf $(VENV) $(DEMO)

@@ -1,0 +1,34 @@
+"""Flags that several commands share."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal, TypeVar
+
+import tyro
+
+from priors import drives
+from priors.drives import DriveOptions
+from priors.types import Drive
+
+DatasetName = Literal["auto", *drives.names()]  # type: ignore[valid-type]
+Parsed = TypeVar("Parsed")
+
+
+@dataclass(frozen=True)
+class DriveArguments:
+    """Where a drive is and which part of it to read."""
+
+    data: Annotated[Path, tyro.conf.Positional]
+    """The drive's folder, as downloaded, or its parent with --drive."""
+    dataset: DatasetName = "auto"
+    """Data set; auto recognises it from the folder."""
+    options: tyro.conf.OmitArgPrefixes[DriveOptions] = DriveOptions()
+
+    def open(self) -> Drive:
+        """Open the drive."""
+        return drives.open_drive(self.data, self.dataset, self.options)
+
+
+def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:
+    """Parse a command's arguments into its dataclass; --help shows its examples first."""
+    return tyro.cli(kind, prog=f"priors {command}", description=examples, args=arguments)

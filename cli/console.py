@@ -1,0 +1,69 @@
+"""What every command shares: one-line errors, exit codes, tables and progress on a terminal or in a pipe."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from priors.errors import DataError
+
+DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
+
+out = Console(highlight=False, soft_wrap=not sys.stdout.isatty())
+err = Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def guarded(command: Callable[[], int]) -> int:
+    """Run a command; known errors become one line and an exit code, unknown ones keep their traceback."""
+    _refuse_foreign_eval()
+    try:
+        return command()
+    except (DataError, ValueErrorOfOurs) as error:
+        err.print(f"[bold red]error:[/] {_escape(str(error))}")
+        return DATA_ERROR
+    except KeyboardInterrupt:
+        err.print("interrupted: what was finished is kept; run the same command again to go on")
+        return INTERRUPTED
+    except BrokenPipeError:
+        return 0
+    except OSError as error:
+        err.print(f"[bold red]error:[/] {_escape(str(error.filename or 'file system'))}: {error.strerror}")
+        return DATA_ERROR
+
+
+def _escape(text: str) -> str:
+    from rich.markup import escape
+
+    return escape(text)
+
+
+def _refuse_foreign_eval() -> None:
+    """Stop where a script named eval.py in the current folder hides our package."""
+    import eval as ours
+
+    if ours.__file__ and Path(ours.__file__).parent.parent != Path(__file__).parent.parent:
+        err.print(f"[bold red]error:[/] another module named eval is first on the path: {ours.__file__}: rename it")
+        raise SystemExit(USAGE_ERROR)
+
+
+@contextmanager
+def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
+    """Show a progress bar on a terminal, a line every tenth in a pipe; yields what to call once a step."""
+    if err.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err) as bar:
+            task = bar.add_task(label, total=total)
+            yield lambda *_: bar.advance(task)
+        return
+    done = 0
+
+    def step(*_: object) -> None:
+        nonlocal done
+        done += 1
+        if done == total or done % max(1, total // 10) == 0:
+            err.print(f"{label} {done}/{total}")
+
+    yield step
