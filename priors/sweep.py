@@ -2,7 +2,6 @@
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from priors.types import Sweep
 
@@ -15,6 +14,6 @@ def untwist(sweep: Sweep) -> npt.NDArray[np.float32]:
     """
     if sweep.time_s is None or sweep.velocity is None:
         return sweep.xyz_m
-    t = sweep.time_s[:, None]
-    turned = Rotation.from_rotvec(t * sweep.velocity[3:]).apply(sweep.xyz_m)
-    return (turned + t * sweep.velocity[:3]).astype(np.float32)
+    from priors.kernels.untwist import untwist_points
+
+    return untwist_points(sweep.xyz_m, sweep.time_s, sweep.velocity)
