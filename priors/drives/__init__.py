@@ -4,10 +4,15 @@ A data set's file has two functions: `recognises(path)` and `open_drive(path, op
 `--dataset` choice; listing the choices imports none of them.
 """
 
+import os
 import pkgutil
+from collections import Counter
 from dataclasses import dataclass
 from importlib import import_module
+from itertools import islice
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 from priors.errors import DataError
 from priors.types import Drive
@@ -39,15 +44,47 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     """
     path = Path(path)
     if not path.is_dir():
-        raise DataError(f"{path}: no such folder")
-    candidates = names() if dataset == "auto" else [dataset]
-    for name in candidates:
-        if name not in names():
-            raise DataError(f"unknown data set {name!r}: choose one of {', '.join(names())}")
-        reader = import_module(f"{__name__}.{name}")
-        if dataset != "auto" or reader.recognises(path):
-            drive: Drive = reader.open_drive(path, options or DriveOptions())
-            return drive
-    raise DataError(
-        f"{path}: no drive recognised ({', '.join(names())}): name it with --dataset, or see docs/datasets.md"
-    )
+        raise DataError(f"{path}: " + ("is a file: name the drive's folder" if path.exists() else "no such folder"))
+    name = _recognise(path) if dataset == "auto" else dataset
+    drive: Drive = _reader(name).open_drive(path, options or DriveOptions())
+    return drive
+
+
+def reopen(description: dict[str, Any]) -> Drive:
+    """Open the drive that a manifest describes: what its `describe()` returned."""
+    try:
+        path, dataset = Path(description["path"]), str(description["dataset"])
+    except (KeyError, TypeError) as error:
+        raise DataError(f"the manifest's drive lacks 'path' or 'dataset': {description!r:.80}") from error
+    truth = description.get("truth")
+    options = DriveOptions(camera=description.get("camera"), truth=None if truth is None else Path(truth))
+    return open_drive(path, dataset, options)
+
+
+def _reader(name: str) -> ModuleType:
+    if name not in names():
+        raise DataError(f"unknown data set {name!r}: choose one of auto, {', '.join(names())}")
+    return import_module(f"{__name__}.{name}")
+
+
+def _recognise(path: Path) -> str:
+    """Return the one data set that knows the folder's layout."""
+    fitting = [name for name in names() if _reader(name).recognises(path)]
+    if len(fitting) > 1:
+        raise DataError(f"{path}: looks like {' and '.join(fitting)}: choose with --dataset {fitting[0]}")
+    if not fitting:
+        wanted = f"no drive recognised ({', '.join(names())})"
+        raise DataError(f"{path}: {wanted}: found {_contents(path)}: see docs/datasets.md for the layouts")
+    return fitting[0]
+
+
+def _contents(path: Path) -> str:
+    """Say in a few words what a folder holds."""
+    with os.scandir(path) as entries:
+        some = list(islice(entries, 1000))
+    folders = sorted(entry.name for entry in some if entry.is_dir())
+    files = Counter(Path(entry.name).suffix or "no suffix" for entry in some if not entry.is_dir())
+    shown = ", ".join(folders[:4]) + (", ..." if len(folders) > 4 else "")
+    words = [f"folders {shown}"] if folders else []
+    words += [f"{count} {suffix} files" for suffix, count in files.most_common(3)]
+    return "; ".join(words) or "nothing"

@@ -1,14 +1,21 @@
-"""What every reader does with files: text to numbers, timestamps, digests. Errors name the file."""
+"""What every reader does with files: text to numbers, folders to ids, digests. Errors name the file."""
 
 import hashlib
+import json
+import os
 from collections.abc import Iterable
-from datetime import datetime
+from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
+from priors import codecs
 from priors.errors import DataError
+from priors.types import Camera, Image, Matrix
+
+IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def read_text(path: Path) -> str:
@@ -19,6 +26,17 @@ def read_text(path: Path) -> str:
         raise DataError(f"{path}: no such file") from error
     except (OSError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: cannot be read as text ({error})") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object; DataError where it is missing, damaged or not an object."""
+    try:
+        data = json.loads(read_text(path))
+    except json.JSONDecodeError as error:
+        raise DataError(f"{path}: damaged JSON ({error}): download or write it again") from error
+    if not isinstance(data, dict):
+        raise DataError(f"{path}: expected a JSON object, found {type(data).__name__}")
+    return data
 
 
 def read_key_values(path: Path) -> dict[str, npt.NDArray[np.float64]]:
@@ -37,32 +55,135 @@ def need(values: dict[str, npt.NDArray[np.float64]], key: str, count: int, path:
     """Return values[key], or raise DataError that names file and key where it is missing, short or not finite."""
     found = values.get(key)
     if found is None:
-        raise DataError(f"{path}: calibration key {key} is missing: download the calibration of this date again")
+        raise DataError(f"{path}: calibration key {key} is missing: download the calibration again")
     if found.size != count or not np.isfinite(found).all():
-        raise DataError(f"{path}: {key} should be {count} finite numbers, found {found.size}")
+        raise DataError(f"{path}: {key} should be {count} finite numbers, found {found.tolist()}")
     return found
 
 
-def read_times(path: Path) -> list[float]:
-    """Read 'YYYY-MM-DD hh:mm:ss.nnnnnnnnn' lines as seconds since the first."""
-    stamps = []
-    for number, line in enumerate(read_text(path).splitlines(), 1):
+def split_projection(P: Matrix, key: str, path: Path) -> tuple[Matrix, Matrix]:
+    """Split a rectified projection (3, 4) into K (3, 3) and T_cam_cam0 (4, 4), a shift in metres."""
+    K = P[:, :3].copy()
+    if K[0, 0] <= 0 or K[1, 1] <= 0 or not np.allclose(K[2], (0, 0, 1)):
+        raise DataError(f"{path}: {key} is no pinhole projection (fx {K[0, 0]:g}, fy {K[1, 1]:g}): download it again")
+    T_cam_cam0 = np.eye(4)
+    T_cam_cam0[:3, 3] = np.linalg.solve(K, P[:, 3])
+    return K, T_cam_cam0
+
+
+def check_baseline(baseline_m: float, what: str, path: Path) -> float:
+    """Return the baseline, or raise DataError where it is not above zero (swapped or equal cameras)."""
+    if not baseline_m > 0:
+        raise DataError(
+            f"{path}: the baseline {what} is {baseline_m:.3f} m, expected > 0: are the two cameras swapped?"
+        )
+    return baseline_m
+
+
+def check_size(array: npt.NDArray[Any], path: Path, camera: Camera) -> Any:
+    """Return the array, or raise DataError where its size is not the calibration's."""
+    if array.shape[:2] != camera.size:
+        found, wanted = (f"{width}x{height}" for height, width in (array.shape[:2], camera.size))
+        raise DataError(f"{path}: is {found}, the calibration is for {wanted}: was one of them resized?")
+    return array
+
+
+def read_sized(path: Path, camera: Camera) -> Image:
+    """Read an image that must have the calibration's size."""
+    image: Image = check_size(codecs.read_image(path), path, camera)
+    return image
+
+
+def first_size(images: Iterable[Path]) -> tuple[int, int]:
+    """Return (height, width) of the first image that can be read: one damaged file must not close a drive."""
+    failure: DataError | None = None
+    for path in images:
+        try:
+            height, width = codecs.read_image(path).shape[:2]
+            return height, width
+        except DataError as error:
+            failure = failure or error
+    raise failure or DataError("no images")
+
+
+def parse_pose(line: str, where: str) -> Matrix:
+    """Turn 12 numbers, a row-major (3, 4), into a pose (4, 4); `where` names file and line in the error."""
+    try:
+        numbers = np.array([float(word) for word in line.split()])
+    except ValueError as error:
+        raise DataError(f"{where}: not 12 numbers: {line.strip()[:40]!r}") from error
+    if numbers.size != 12 or not np.isfinite(numbers).all():
+        found = f"{numbers.size} numbers" if numbers.size != 12 else "NaN or inf"
+        raise DataError(f"{where}: a pose should be 12 finite numbers, found {found}: repair it or leave the frame out")
+    T = np.eye(4)
+    T[:3] = numbers.reshape(3, 4)
+    return T
+
+
+def read_times(path: Path) -> dict[int, float]:
+    """Read 'YYYY-MM-DD hh:mm:ss.nnnnnnnnn' lines as seconds since the first, by line number from 0.
+
+    An empty line stands for a scan that is missing (KITTI's velodyne timestamps have them) and gets no entry.
+    """
+    stamps = {}
+    for number, line in enumerate(read_text(path).splitlines()):
         if not line.strip():
             continue
         seconds, _, fraction = line.strip().partition(".")
         try:
-            stamps.append(datetime.fromisoformat(seconds).timestamp() + float(f"0.{fraction or 0}"))
+            whole = datetime.fromisoformat(seconds).replace(tzinfo=UTC).timestamp()
+            stamps[number] = whole + float(f"0.{fraction or 0}")
         except ValueError as error:
-            raise DataError(f"{path}: line {number} is not a time: {line.strip()[:40]!r}") from error
-    return [stamp - stamps[0] for stamp in stamps]
+            raise DataError(f"{path}: line {number + 1} is not a time: {line.strip()[:40]!r}") from error
+    start = next(iter(stamps.values()), 0.0)
+    return {number: stamp - start for number, stamp in stamps.items()}
 
 
 def stems(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
     """Map file stem (the frame id) to file, for files with one of the suffixes; empty where there is no folder."""
-    if not folder.is_dir():
+    try:
+        with os.scandir(folder) as entries:
+            names = sorted(entry.name for entry in entries)
+    except (FileNotFoundError, NotADirectoryError):
         return {}
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be listed ({error.strerror})") from error
     wanted = tuple(suffixes)
-    return {p.stem: p for p in sorted(folder.iterdir()) if p.suffix.lower() in wanted and not p.name.startswith(".")}
+    return {n.rpartition(".")[0]: folder / n for n in names if n.lower().endswith(wanted) and n[0] != "."}
+
+
+def follow(path: Path) -> Path:
+    """Return the folder that path means: itself, or where a link points that a copy turned into a small text file.
+
+    Archives and version control without symbolic links leave the link's target as the file's text.
+    """
+    if path.is_file() and path.stat().st_size < 1024:
+        target = path.parent / read_text(path).strip()
+        if target.is_dir():
+            return target
+    return path
+
+
+def subfolders(path: Path) -> list[Path]:
+    """List the folders directly in path, sorted; files cost no stat call, so huge folders are cheap."""
+    try:
+        with os.scandir(path) as entries:
+            return sorted(path / e.name for e in entries if not e.name.startswith(".") and e.is_dir())
+    except OSError:
+        return []
+
+
+def choose(found: list[Path], drive: str | None, path: Path, what: str) -> Path:
+    """Return the one folder wanted: the only one, or the one named by --drive."""
+    chosen = [folder for folder in found if drive is None or folder.name == drive]
+    some = ", ".join(folder.name for folder in found[:5]) + (", ..." if len(found) > 5 else "")
+    if not chosen and found:
+        raise DataError(f"{path}: no drive {drive!r} in it: found {some}")
+    if not chosen:
+        raise DataError(f"{path}: {what} not found in it")
+    if len(chosen) > 1:
+        raise DataError(f"{path}: holds {len(chosen)} drives: choose with --drive {chosen[0].name} (found {some})")
+    return chosen[0]
 
 
 def digest(files: Iterable[Path]) -> str:
@@ -74,6 +195,3 @@ def digest(files: Iterable[Path]) -> str:
         except OSError as error:
             raise DataError(f"{file}: cannot be read ({error.strerror})") from error
     return sha.hexdigest()
-
-
-IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")

@@ -14,9 +14,8 @@ Quirks kept here:
 - The depth maps (`groundtruth`, `velodyne_raw`) are other downloads: looked for beside, or under --truth.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -25,43 +24,57 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from priors import codecs
-from priors.drives import DriveOptions
-from priors.drives._files import IMAGE_SUFFIXES, digest, need, read_key_values, read_text, read_times, stems
+from priors.drives import DriveOptions, _kitti_maps
+from priors.drives._files import (
+    IMAGE_SUFFIXES,
+    check_baseline,
+    check_size,
+    choose,
+    digest,
+    follow,
+    need,
+    read_key_values,
+    read_sized,
+    read_text,
+    read_times,
+    split_projection,
+    stems,
+    subfolders,
+)
 from priors.errors import DataError
 from priors.geometry import invert
-from priors.types import Camera, Depth, Frame, Image, Matrix, Sweep
+from priors.types import Camera, Depth, Frame, Matrix, Sweep
 
 EARTH_RADIUS_M = 6378137.0
 SWEEP_S = 0.1
 # The scanner turns clockwise seen from above: azimuth (x forward, y left) falls as time passes.
 SECONDS_PER_RADIAN = -SWEEP_S / (2 * np.pi)
+# Frames built in order share sweeps: 11 accumulated, and some workers ahead. 2 MB each.
+SWEEPS_KEPT = 24
 PARTNER = {"image_00": "image_01", "image_01": "image_00", "image_02": "image_03", "image_03": "image_02"}
-TRUTH_FOLDERS = ("kitti_depth", "data_depth_annotated", "data_depth_velodyne", "depth")
 
 
 def recognises(path: Path) -> bool:
     """Tell whether the folder is a drive, a date or a folder of dates."""
-    return next(_drive_folders(path), None) is not None
+    return bool(_drive_folders(path))
 
 
 def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
     """Open one drive; path is the drive's folder, or a parent of it with options.drive."""
-    found = sorted(_drive_folders(path))
-    if options.drive is not None:
-        found = [folder for folder in found if folder.name == options.drive]
-    if not found:
-        raise DataError(f"{path}: no drive {options.drive or 'folder (image_02/data, velodyne_points/data)'} in it")
-    if len(found) > 1:
-        raise DataError(f"{path}: holds {len(found)} drives: choose with --drive {found[0].name} (or another)")
-    return KittiRaw(found[0], options.camera or "image_02", options.truth)
+    folder = choose(_drive_folders(path), options.drive, path, "a drive's folder (image_02/data, velodyne_points/data)")
+    with_images = [name for name in ("image_02", "image_00", "image_03", "image_01") if _images(folder, name)]
+    return KittiRaw(folder, options.camera or next(iter(with_images), "image_02"), options.truth)
 
 
-def _drive_folders(path: Path) -> Iterator[Path]:
-    """Yield drive folders at path, one or two levels below."""
-    for pattern in (".", "*", "*/*"):
-        for folder in [path] if pattern == "." else path.glob(pattern):
-            if any((folder / name / "data").is_dir() for name in PARTNER):
-                yield folder
+def _drive_folders(path: Path) -> list[Path]:
+    """List the drives at path, or where it is none itself, one and two levels below."""
+    levels = [path]
+    for _ in range(3):
+        found = [folder for folder in levels if any((folder / name / "data").is_dir() for name in PARTNER)]
+        if found:
+            return found
+        levels = [below for folder in levels for below in subfolders(folder)]
+    return []
 
 
 @dataclass(frozen=True)
@@ -81,17 +94,19 @@ class KittiRaw:
         self.folder, self.camera_name = folder, camera
         if camera not in PARTNER:
             raise DataError(f"{folder}: no camera {camera!r}: choose one of {', '.join(PARTNER)}")
-        self._images = stems(folder / camera / "data", IMAGE_SUFFIXES)
+        self._images = _images(folder, camera)
         if not self._images:
             raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
-        self._others = stems(folder / PARTNER[camera] / "data", IMAGE_SUFFIXES)
-        self._sweeps = stems(folder / "velodyne_points" / "data", [".bin"])
-        self._oxts = stems(folder / "oxts" / "data", [".txt"])
+        self._others = _images(folder, PARTNER[camera])
+        self._sweeps = stems(follow(folder / "velodyne_points") / "data", [".bin"])
+        self._oxts = stems(follow(folder / "oxts") / "data", [".txt"])
         self.ids = list(self._images)
         self.calibration = read_calibration(folder.parent, camera)
         self.baseline_m, self.side = self._read_pair()
+        self._read_sweep = lru_cache(maxsize=SWEEPS_KEPT)(self._load_sweep)
         self._truth_option = truth
-        self._maps = {kind: self._find_maps(kind, truth) for kind in ("groundtruth", "velodyne_raw")}
+        self._maps = self._find_maps()
+        self._imu_poses: dict[str, Matrix] = {}
 
     @property
     def name(self) -> str:
@@ -114,7 +129,8 @@ class KittiRaw:
 
     def __getitem__(self, index: int) -> Frame:
         id_ = self.ids[index]
-        sources: dict[str, Any] = {"image": partial(self._read_image, self._images[id_])}
+        camera = self.calibration.camera
+        sources: dict[str, Any] = {"image": partial(read_sized, self._images[id_], camera)}
         missing = {
             "other": f"no image {PARTNER[self.camera_name]}/data/{id_} in {self.folder}: stereo needs both cameras",
             "sweep": f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data",
@@ -123,7 +139,7 @@ class KittiRaw:
             "sky": "KITTI has no sky masks",
         }
         if id_ in self._others:
-            sources["other"] = partial(self._read_image, self._others[id_])
+            sources["other"] = partial(read_sized, self._others[id_], camera)
         if self._sweeps and self.calibration.T_cam0_velo is not None:
             sources["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
         for what, kind in (("truth", "groundtruth"), ("sparse", "velodyne_raw")):
@@ -131,12 +147,12 @@ class KittiRaw:
                 sources[what] = partial(self._read_map, self._maps[kind][id_])
         return Frame(
             id=id_,
-            camera=self.calibration.camera,
+            camera=camera,
             readers=sources,
             missing=missing,
             T_world_cam=self._pose(id_),
             T_cam_lidar=self._T_cam_velo,
-            time_s=self._times.get(id_),
+            time_s=self._times.get(int(id_)) if id_.isdecimal() else None,
             baseline_m=self.baseline_m,
             side=self.side,
         )
@@ -147,13 +163,10 @@ class KittiRaw:
         return None if T_cam0_velo is None else self.calibration.T_cam_cam0 @ T_cam0_velo
 
     @cached_property
-    def _times(self) -> dict[str, float]:
-        """Camera times by frame id; the file counts frames from id 0, whichever images were kept."""
+    def _times(self) -> dict[int, float]:
+        """Camera times by frame number; the file counts frames from 0, whichever images were kept."""
         path = self.folder / self.camera_name / "timestamps.txt"
-        if not path.exists():
-            return {}
-        width = len(self.ids[0])
-        return {f"{number:0{width}d}": time for number, time in enumerate(read_times(path))}
+        return read_times(path) if path.exists() else {}
 
     def _read_pair(self) -> tuple[float | None, Any]:
         side = "left" if self.camera_name in ("image_00", "image_02") else "right"
@@ -162,38 +175,19 @@ class KittiRaw:
         partner = read_calibration(self.folder.parent, PARTNER[self.camera_name])
         offset_m = float(self.calibration.T_cam_cam0[0, 3] - partner.T_cam_cam0[0, 3])
         baseline_m = offset_m if side == "left" else -offset_m
-        if baseline_m <= 0:
-            file = self.folder.parent / "calib_cam_to_cam.txt"
-            found = f"baseline {self.camera_name} - {PARTNER[self.camera_name]} is {baseline_m:.3f} m"
-            raise DataError(f"{file}: {found}, expected > 0: are the two P_rect swapped?")
-        return baseline_m, side
-
-    def _read_image(self, path: Path) -> Image:
-        return check_size(codecs.read_image(path), path, self.calibration.camera)
+        path = self.folder.parent / "calib_cam_to_cam.txt"
+        return check_baseline(baseline_m, f"from {self.camera_name} to {PARTNER[self.camera_name]}", path), side
 
     def _read_map(self, path: Path) -> Depth:
         return Depth(check_size(codecs.read_depth_png(path), path, self.calibration.camera))
 
-    def _find_maps(self, kind: str, truth: Path | None) -> dict[str, Path]:
-        """Find the drive's depth maps of one kind, by frame id."""
-        if truth is not None:
-            roots = [truth, *(truth / name for name in TRUTH_FOLDERS)]
-        else:
-            above = [self.folder.parent.parent, self.folder.parent.parent.parent]
-            roots = [self.folder.parent, *above, *(root / name for root in above for name in TRUTH_FOLDERS)]
-        for root in roots:
-            for split in ("", "train", "val"):
-                maps = stems(root / split / self.folder.name / "proj_depth" / kind / self.camera_name, [".png"])
-                if maps and (truth is not None or self._fits(next(iter(maps.values())))):
-                    return maps
-        if truth is not None and kind == "groundtruth":
-            where = f"[train/]{self.folder.name}/proj_depth/groundtruth/{self.camera_name}"
-            raise DataError(f"{truth}: --truth should hold {where}, found none")
-        return {}
-
-    def _fits(self, path: Path) -> bool:
-        """Tell whether maps found beside are for images of this size (a resized copy of a drive has its name too)."""
-        return codecs.read_depth_png(path).shape == self.calibration.camera.size
+    def _find_maps(self) -> dict[str, dict[str, Path]]:
+        """Find the drive's depth maps by kind and frame id."""
+        if self._truth_option is not None:
+            return _kitti_maps.given(Path(self._truth_option), self.folder.name, self.camera_name)
+        date = self.folder.absolute().parent
+        above = [date, date.parent, date.parent.parent]
+        return _kitti_maps.beside(above, self.folder.name, self.camera_name, self.calibration.camera.size)
 
     def _pose(self, id_: str) -> Matrix | None:
         """T_world_cam at a frame; None where the drive has no oxts for it."""
@@ -205,16 +199,27 @@ class KittiRaw:
     def _T_world_velo(self, id_: str) -> Matrix | None:
         if id_ not in self._oxts or self.calibration.T_velo_imu is None:
             return None
-        first = _imu_pose(next(iter(self._oxts.values())), self._mercator_scale)
-        T_world_imu = invert(first) @ _imu_pose(self._oxts[id_], self._mercator_scale)
-        return T_world_imu @ invert(self.calibration.T_velo_imu)
+        if id_ not in self._imu_poses:  # two threads may both read it: they find the same
+            self._imu_poses[id_] = _imu_pose(self._oxts[id_], self._mercator_scale)
+        return self._T_world_mercator @ self._imu_poses[id_] @ invert(self.calibration.T_velo_imu)
+
+    @cached_property
+    def _first_oxts(self) -> Path:
+        """The file that sets the drive's world: damaged, it leaves no frame a pose."""
+        return next(iter(self._oxts.values()))
+
+    @cached_property
+    def _T_world_mercator(self) -> Matrix:
+        return invert(_imu_pose(self._first_oxts, self._mercator_scale))
 
     @cached_property
     def _mercator_scale(self) -> float:
-        latitude = _read_oxts(next(iter(self._oxts.values())))[0]
-        return float(np.cos(np.radians(latitude)))
+        try:
+            return float(np.cos(np.radians(_read_oxts(self._first_oxts)[0])))
+        except DataError as error:
+            raise DataError(f"{error}: it sets the drive's world, without it no frame has a pose") from error
 
-    def _read_sweep(self, number: int, width: int) -> Sweep | None:
+    def _load_sweep(self, number: int, width: int) -> Sweep | None:
         id_ = f"{number:0{width}d}"
         if id_ not in self._sweeps:
             return None
@@ -224,11 +229,13 @@ class KittiRaw:
         if velocity is not None:
             azimuth = np.arctan2(xyz_m[:, 1], xyz_m[:, 0])
             time_s = (SECONDS_PER_RADIAN * azimuth).astype(np.float32)
+            time_s.flags.writeable = False
+        xyz_m.flags.writeable = False  # sweeps are shared
         return Sweep(xyz_m, self._T_world_velo(id_), time_s, velocity)
 
     def _velocity(self, number: int, width: int) -> Matrix | None:
         """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame."""
-        around = [(k, self._T_world_velo(f"{number + k:0{width}d}")) for k in (-1, 0, 1)]
+        around = [(k, self._pose_or_none(f"{number + k:0{width}d}")) for k in (-1, 0, 1)]
         known = [(k, pose) for k, pose in around if pose is not None]
         if len(known) < 2:
             return None
@@ -237,13 +244,16 @@ class KittiRaw:
         T_a_b = invert(T_world_a) @ T_world_b
         return np.concatenate([T_a_b[:3, 3], Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()]) / seconds
 
+    def _pose_or_none(self, id_: str) -> Matrix | None:
+        """A neighbour's pose; a damaged one is as good as none here, and an error at its own frame."""
+        try:
+            return self._T_world_velo(id_)
+        except DataError:
+            return None
 
-def check_size(array: npt.NDArray[Any], path: Path, camera: Camera) -> Any:
-    """Return the array, or raise DataError where its size is not the calibration's."""
-    if array.shape[:2] != camera.size:
-        found, wanted = (f"{width}x{height}" for height, width in (array.shape[:2], camera.size))
-        raise DataError(f"{path}: is {found}, the calibration is for {wanted}: was one of them resized?")
-    return array
+
+def _images(folder: Path, camera: str) -> dict[str, Path]:
+    return stems(follow(folder / camera) / "data", IMAGE_SUFFIXES)
 
 
 def read_calibration(date: Path, camera: str) -> Calibration:
@@ -252,14 +262,13 @@ def read_calibration(date: Path, camera: str) -> Calibration:
     values = read_key_values(path)
     number = camera[-2:]
     P = need(values, f"P_rect_{number}", 12, path).reshape(3, 4)
+    K, T_cam_cam0 = split_projection(P, f"P_rect_{number}", path)
     width, height = need(values, f"S_rect_{number}", 2, path)
     R_rect = np.eye(4)
     R_rect[:3, :3] = need(values, "R_rect_00", 9, path).reshape(3, 3)
-    T_cam_cam0 = np.eye(4)
-    T_cam_cam0[:3, 3] = np.linalg.solve(P[:, :3], P[:, 3])
     T_cam_velo = _read_rigid(date / "calib_velo_to_cam.txt")
     return Calibration(
-        camera=Camera(P[:, :3].copy(), (int(height), int(width))),
+        camera=Camera(K, (int(height), int(width))),
         T_cam_cam0=T_cam_cam0,
         T_cam0_velo=None if T_cam_velo is None else R_rect @ T_cam_velo,
         T_velo_imu=_read_rigid(date / "calib_imu_to_velo.txt"),
@@ -288,9 +297,11 @@ def read_sweep_file(path: Path) -> npt.NDArray[np.float32]:
         raise DataError(f"{path}: {size} bytes are not whole points of 16 bytes: truncated, download it again")
     if size == 0:
         raise DataError(f"{path}: empty sweep: download it again, or leave the frame out with --frames")
-    xyz_m = data.reshape(-1, 4)[:, :3]
+    xyz_m = np.ascontiguousarray(data.reshape(-1, 4)[:, :3])
     finite = np.isfinite(xyz_m).all(axis=1)
-    return np.ascontiguousarray(xyz_m if finite.all() else xyz_m[finite])
+    if not finite.any():
+        raise DataError(f"{path}: no finite point in the sweep: download it again")
+    return xyz_m if finite.all() else xyz_m[finite]
 
 
 def _read_oxts(path: Path) -> npt.NDArray[np.float64]:

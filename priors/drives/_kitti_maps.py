@@ -1,0 +1,50 @@
+"""Find KITTI's depth maps (`groundtruth`, `velodyne_raw`): other downloads than the images, unpacked in other places.
+
+[train|val/]<drive>/proj_depth/{groundtruth,velodyne_raw}/{image_02,image_03}/0000000005.png
+"""
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from priors import codecs
+from priors.drives._files import stems
+from priors.errors import DataError
+
+FOLDERS = ("kitti_depth", "data_depth_annotated", "data_depth_velodyne", "depth")
+
+
+def given(truth: Path, drive: str, camera: str) -> dict[str, dict[str, Path]]:
+    """Map kind to {frame id: map} in the folder that --truth names; DataError where it has no groundtruth."""
+    roots = [truth, *(truth / name for name in FOLDERS)]
+    maps = {kind: _first(roots, drive, camera, kind) for kind in ("groundtruth", "velodyne_raw")}
+    if not maps["groundtruth"]:
+        wanted = f"[train/]{drive}/proj_depth/groundtruth/{camera}"
+        raise DataError(f"{truth}: --truth should hold {wanted}, found none")
+    return maps
+
+
+def beside(above: list[Path], drive: str, camera: str, size: tuple[int, int]) -> dict[str, dict[str, Path]]:
+    """Map kind to {frame id: map} found in the folders above a drive; maps of another size are another drive's."""
+    roots = [*above, *(root / name for root in above for name in FOLDERS)]
+    return {kind: _first(roots, drive, camera, kind, size) for kind in ("groundtruth", "velodyne_raw")}
+
+
+def _first(
+    roots: Iterable[Path], drive: str, camera: str, kind: str, size: tuple[int, int] | None = None
+) -> dict[str, Path]:
+    for root in roots:
+        for split in ("", "train", "val"):
+            maps = stems(root / split / drive / "proj_depth" / kind / camera, [".png"])
+            if maps and (size is None or _fits(maps, size)):
+                return maps
+    return {}
+
+
+def _fits(maps: dict[str, Path], size: tuple[int, int]) -> bool:
+    """Tell whether the maps are for images of this size; a damaged one is reported when it is read, not here."""
+    for path in maps.values():
+        try:
+            return codecs.read_depth_png(path).shape == size
+        except DataError:
+            continue
+    return True
