@@ -1,0 +1,132 @@
+"""Sparsification: how the error falls as the least trusted pixels are dropped.
+
+A curve gives the error of the kept pixels for every kept share. A confidence is worth something where its curve
+lies below that of the trivial one, "drop the farthest first", and near the oracle's, which drops the largest errors
+first. Pixels of one confidence are dropped in random order: the curve is the expectation of that, so it depends on
+neither the pixels' order nor a seed.
+
+Curves over a drive sort the pixels of all frames together, since a threshold on the confidence does so too. The AUSE
+in a result file is of each frame alone, averaged over frames.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from eval.depth import DepthSums, FloatArray, has_value
+from eval.protocol import Prepared, Protocol
+from eval.stereo import is_d1
+
+Flat = npt.NDArray[np.float64]
+Metric = Literal["abs_rel", "rmse", "d1"]
+KEPT = np.linspace(1.0, 0.02, 50)
+"""Kept shares of a curve: all pixels down to 2 %, in steps of 2 %."""
+
+
+@dataclass(frozen=True, slots=True)
+class Samples:
+    """The scored pixels of any number of frames, flat; 24 bytes a pixel."""
+
+    prediction_m: Flat
+    """(n,) metres."""
+    truth_m: Flat
+    """(n,) metres."""
+    confidence: Flat
+    """(n,) higher is more trusted; NaN counts as the least."""
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """One metric's error at every kept share; all arrays are (m,)."""
+
+    metric: Metric
+    kept: Flat
+    """Kept shares, falling from 1."""
+    by_confidence: Flat
+    oracle: Flat
+    farthest_first: Flat
+
+    @property
+    def ause(self) -> float:
+        """Area between the confidence's curve and the oracle's over the dropped share, the metric's unit.
+
+        Ilg et al., ECCV 2018, not normalised. 0 is a perfect order.
+        """
+        return _area(self.by_confidence - self.oracle, self.kept)
+
+    @property
+    def ause_farthest_first(self) -> float:
+        """The same area for the trivial confidence: what a real one must beat."""
+        return _area(self.farthest_first - self.oracle, self.kept)
+
+
+def collect(frames: Iterable[tuple[FloatArray, FloatArray | None, FloatArray]], protocol: Protocol) -> Samples:
+    """Gather the scored pixels of frames (prediction_m, confidence, truth_m), each (height, width).
+
+    Pixels the protocol filled are left out: nobody stated a confidence for them. Without a confidence all are alike.
+    """
+    parts = [sample(protocol.prepare(prediction, truth), trust) for prediction, trust, truth in frames]
+    stacked = [np.concatenate([np.zeros(0), *column]) for column in zip(*parts, strict=True)] or [np.zeros(0)] * 3
+    return Samples(*stacked)
+
+
+def sample(ready: Prepared, confidence: FloatArray | None) -> tuple[Flat, Flat, Flat]:
+    """Return one frame's scored pixels: prediction, truth, confidence, each (n,); confidence is of the whole image."""
+    scored = ready.own & has_value(ready.truth_m)
+    trust = np.ones(scored.shape) if confidence is None else confidence[ready.window]
+    return ready.prediction_m[scored], ready.truth_m[scored], trust[scored].astype(np.float64)
+
+
+def curves(samples: Samples, metric: Metric, fx_baseline: float | None = None, kept: Flat = KEPT) -> Curves:
+    """Make the three curves of a metric; d1 is in percent and needs fx * baseline, px m."""
+    error = _error(samples, metric, fx_baseline)
+    orders = samples.confidence, -error, -samples.prediction_m
+    made = [sparsify(error, order, kept) for order in orders]
+    if metric == "rmse":
+        made = [np.sqrt(curve) for curve in made]
+    return Curves(metric, kept, *made)
+
+
+def sparsify(error: Flat, confidence: Flat, kept: Flat = KEPT) -> Flat:
+    """Return the mean error (m,) of each kept share (m,) of the pixels (n,), most confident first.
+
+    Where a share ends within a group of equal confidence, it holds that part of the group's sum. NaN without pixels.
+    """
+    if not error.size:
+        return np.full(len(kept), np.nan)
+    trust, group = np.unique(-np.nan_to_num(confidence, nan=-np.inf), return_inverse=True)
+    counts = np.concatenate([[0], np.cumsum(np.bincount(group, minlength=trust.size))])
+    sums = np.concatenate([[0], np.cumsum(np.bincount(group, weights=error, minlength=trust.size))])
+    wanted = np.asarray(kept) * error.size
+    return np.interp(wanted, counts, sums) / wanted
+
+
+def best(samples: Samples, share: float, seed: int = 0) -> dict[str, float]:
+    """Score the most confident share of the pixels by every depth metric; equals are drawn by the seed."""
+    n = round(share * samples.truth_m.size)
+    shuffled = np.random.default_rng(seed).permutation(samples.truth_m.size)
+    order = np.argsort(-np.nan_to_num(samples.confidence[shuffled], nan=-np.inf), kind="stable")
+    kept = np.zeros_like(samples.prediction_m)
+    chosen = shuffled[order[:n]]
+    kept[chosen] = samples.prediction_m[chosen]
+    return DepthSums.over(kept, samples.truth_m).finish()
+
+
+def _error(samples: Samples, metric: Metric, fx_baseline: float | None) -> Flat:
+    """Return each pixel's part in the metric; what is averaged, before any root."""
+    p, t = samples.prediction_m, samples.truth_m
+    if metric == "abs_rel":
+        return np.abs(p - t) / t
+    if metric == "rmse":
+        return (p - t) ** 2
+    if fx_baseline is None:
+        raise ValueError("d1 is an error of disparity: pass fx_baseline, px m")
+    return np.where(is_d1(np.abs(fx_baseline / p - fx_baseline / t), fx_baseline / t), 100.0, 0.0)
+
+
+def _area(height: Flat, kept: Flat) -> float:
+    """Integrate over the dropped share by trapezia."""
+    return float(np.sum((height[1:] + height[:-1]) / 2 * (kept[:-1] - kept[1:])))
