@@ -3,7 +3,7 @@
 import hashlib
 import json
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -173,6 +173,20 @@ def subfolders(path: Path) -> list[Path]:
         return []
 
 
+def search(path: Path, wanted: Callable[[Path], bool], depth: int) -> list[Path]:
+    """List the wanted folders: path itself, or else those one level below, and so on down to depth levels.
+
+    Stops where a level holds more than 10000 folders: recognising a data set must not walk a whole disk.
+    """
+    level = [path]
+    for _ in range(depth + 1):
+        found = [folder for folder in level if wanted(folder)]
+        if found or len(level) > 10_000:
+            return found
+        level = [below for folder in level for below in subfolders(folder)]
+    return []
+
+
 def choose(found: list[Path], drive: str | None, path: Path, what: str) -> Path:
     """Return the one folder wanted: the only one, or the one named by --drive."""
     chosen = [folder for folder in found if drive is None or folder.name == drive]
@@ -181,6 +195,8 @@ def choose(found: list[Path], drive: str | None, path: Path, what: str) -> Path:
         raise DataError(f"{path}: no drive {drive!r} in it: found {some}")
     if not chosen:
         raise DataError(f"{path}: {what} not found in it")
+    if len(chosen) > 1 and drive is not None:
+        raise DataError(f"{path}: holds {len(chosen)} drives named {drive}: name the folder itself, e.g. {chosen[0]}")
     if len(chosen) > 1:
         raise DataError(f"{path}: holds {len(chosen)} drives: choose with --drive {chosen[0].name} (found {some})")
     return chosen[0]

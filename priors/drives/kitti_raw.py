@@ -37,9 +37,9 @@ from priors.drives._files import (
     read_sized,
     read_text,
     read_times,
+    search,
     split_projection,
     stems,
-    subfolders,
 )
 from priors.errors import DataError
 from priors.geometry import invert
@@ -67,14 +67,8 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
 
 
 def _drive_folders(path: Path) -> list[Path]:
-    """List the drives at path, or where it is none itself, one and two levels below."""
-    levels = [path]
-    for _ in range(3):
-        found = [folder for folder in levels if any((folder / name / "data").is_dir() for name in PARTNER)]
-        if found:
-            return found
-        levels = [below for folder in levels for below in subfolders(folder)]
-    return []
+    """List the drives at path, or where it is none itself, one or two levels below."""
+    return search(path, lambda folder: any((folder / name / "data").is_dir() for name in PARTNER), 2)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,258 @@
+"""Argoverse 1: tracking logs, and logs of the rectified stereo release, as downloaded.
+
+    argoverse-tracking/<split>/<log>/{ring_*,stereo_front_left,stereo_front_right}/<camera>_<ns>.jpg
+                                    /lidar/PC_<ns>.ply   /poses/city_SE3_egovehicle_<ns>.json
+                                    /vehicle_calibration_info.json
+    rectified_stereo_images_v1.1/<split>/<log>/stereo_front_{left,right}_rect/<camera>_<ns>.jpg
+                                              /vehicle_calibration_stereo_info.json
+    disparity_maps_v1.1/<split>/<log>/stereo_front_left_rect_disparity/disparity_<ns>.png
+
+Quirks kept here (those of the calibration in _argoverse1_calibration.py):
+- Frame ids are the image's nanoseconds. Ring cameras run at 30 Hz, the stereo pair at 5 Hz, the LiDAR at 10 Hz: an
+  image takes the sweep nearest in time, at most 51 ms away, and sweep(k) counts sweeps from there, not images.
+- Sweeps are in the vehicle's frame and motion compensated to their own time. The vehicle moves between sweep and image:
+  a frame's T_cam_lidar accounts for that where there are poses, so it differs from frame to frame.
+- Poses are T_city_vehicle at the sensors' times; between two of them they are interpolated.
+- A stereo release's log has no sweeps and poses of its own: those of the tracking log of the same name are used when
+  argoverse-tracking lies beside.
+- Disparity maps are uint16, px x 256, 0 = none, of the left rectified camera.
+"""
+
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from priors import codecs
+from priors.drives import DriveOptions
+from priors.drives._argoverse1_calibration import Calibration, View, to_pose
+from priors.drives._files import (
+    IMAGE_SUFFIXES,
+    check_size,
+    choose,
+    digest,
+    follow,
+    read_json,
+    read_sized,
+    search,
+    stems,
+)
+from priors.drives._ply import read_ply
+from priors.errors import DataError
+from priors.geometry import convert_disparity, invert
+from priors.types import Depth, Frame, Image, Matrix, Sweep
+
+TRACKING, STEREO = "vehicle_calibration_info.json", "vehicle_calibration_stereo_info.json"
+PAIR = ("stereo_front_left", "stereo_front_right")
+PAIR_RECT = ("stereo_front_left_rect", "stereo_front_right_rect")
+DEFAULTS = (*PAIR_RECT, *PAIR, "ring_front_center")
+NEAR_SWEEP_NS = 51_000_000  # half a turn of the LiDAR, and 1 ms for the message to arrive
+NEAR_OTHER_NS = 10_000_000  # the pair is triggered together
+POSE_GAP_NS = 200_000_000  # poses farther apart are not interpolated
+
+
+def recognises(path: Path) -> bool:
+    """Tell whether the folder is a log, or holds logs up to three levels below."""
+    return bool(search(path, _is_log, 3))
+
+
+def open_drive(path: Path, options: DriveOptions) -> "Argoverse1":
+    """Open one log; path is its folder, or a parent of it with options.drive."""
+    return Argoverse1(choose(search(path, _is_log, 3), options.drive, path, f"a log ({TRACKING})"), options)
+
+
+def _is_log(folder: Path) -> bool:
+    return (folder / TRACKING).is_file() or (folder / STEREO).is_file()
+
+
+class Argoverse1:
+    """One camera's view of one log."""
+
+    def __init__(self, folder: Path, options: DriveOptions) -> None:
+        self.folder, self._truth_option = folder.absolute(), options.truth
+        self.camera_name = options.camera or next((c for c in DEFAULTS if (folder / c).is_dir()), DEFAULTS[-1])
+        self._images = by_time(follow(self.folder / self.camera_name), IMAGE_SUFFIXES)
+        if not self._images:
+            found = ", ".join(sorted(p.name for p in folder.iterdir() if p.name.startswith(("ring_", "stereo_"))))
+            raise DataError(f"{folder / self.camera_name}: no images: choose a --camera (found {found or 'none'})")
+        self._calibration_file = self.folder / (STEREO if self.camera_name in PAIR_RECT else TRACKING)
+        self.side: Literal["left", "right"] = "right" if "_right" in self.camera_name else "left"
+        self._others = by_time(follow(self.folder / self._partner), IMAGE_SUFFIXES) if self._partner else {}
+        self._view, self._other_view, self.baseline_m = self._read_views()
+        log = self._companion()
+        self._sweeps = by_time(follow(log / "lidar"), [".ply"])
+        self._poses = by_time(follow(log / "poses"), [".json"])
+        self._disparities = self._find_disparities()
+        self._times, self._other_times = list(self._images), list(self._others)
+        self._sweep_times, self._pose_times = list(self._sweeps), list(self._poses)
+        self.ids: Sequence[str] = [str(time) for time in self._times]
+
+    @property
+    def name(self) -> str:
+        """Log id and camera."""
+        return f"{self.folder.name}-{self.camera_name}"
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest records and `reopen` needs."""
+        truth = None if self._truth_option is None else str(Path(self._truth_option).resolve())
+        return {"dataset": "argoverse1", "path": str(self.folder), "camera": self.camera_name, "truth": truth}
+
+    def fingerprint(self) -> str:
+        """Digest calibration, poses and the first image."""
+        return digest([self._calibration_file, *self._poses.values(), next(iter(self._images.values()))])
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __getitem__(self, index: int) -> Frame:
+        time = self._times[index]
+        sources: dict[str, Any] = {"image": partial(_read_view, self._images[time], self._view)}
+        other = nearest(self._other_times, time, NEAR_OTHER_NS)
+        if other is not None and self._other_view is not None:
+            sources["other"] = partial(_read_view, self._others[other], self._other_view)
+        if self._sweeps and self._view.T_ego_cam is not None:
+            sources["sweep"] = lambda offset=0: self._read_sweep(time, offset)
+        if time in self._disparities:
+            sources["truth"] = partial(self._read_truth, self._disparities[time])
+        T_world_ego = self._pose(time)
+        T_ego_cam = self._view.T_ego_cam
+        return Frame(
+            id=self.ids[index],
+            camera=self._view.camera,
+            readers=sources,
+            missing=self._missing(time),
+            T_world_cam=None if T_world_ego is None or T_ego_cam is None else T_world_ego @ T_ego_cam,
+            T_cam_lidar=self._T_cam_lidar(time, T_world_ego),
+            time_s=(time - self._times[0]) * 1e-9,
+            baseline_m=self.baseline_m,
+            side=self.side,
+        )
+
+    def _missing(self, time: int) -> dict[str, str]:
+        """Say why a reader is not there, and what to do."""
+        other = "ring cameras have no partner: stereo needs --camera stereo_front_left"
+        if self._partner is not None:
+            other = f"{self.folder / self._partner}: no image within 10 ms of {time}: stereo needs both cameras"
+        sweep = f"{self.folder}: no lidar/PC_*.ply: put argoverse-tracking beside the stereo release"
+        if self._sweeps:
+            sweep = f"{self._calibration_file}: no {PAIR_RECT[0]}_refined: the camera's place on the car is unknown"
+        truth = f"no {PAIR_RECT[0]}_disparity map of {time} in disparity_maps_v1.1, beside or under --truth"
+        if self.camera_name != PAIR_RECT[0]:
+            truth = f"disparity truth is for {PAIR_RECT[0]} of the rectified stereo release, not for {self.camera_name}"
+        sparse = "Argoverse has no sparse depth maps: use --completion.source lidar"
+        return {"other": other, "sweep": sweep, "truth": truth, "sparse": sparse, "sky": "Argoverse has no sky masks"}
+
+    @property
+    def _partner(self) -> str | None:
+        for pair in (PAIR, PAIR_RECT):
+            if self.camera_name in pair:
+                return pair[1 - pair.index(self.camera_name)]
+        return None
+
+    def _read_views(self) -> tuple[View, View | None, float | None]:
+        """Read this camera, its partner and their baseline."""
+        calibration = Calibration(self._calibration_file)
+        if self._partner is None:
+            return calibration.view(self.camera_name), None, None
+        if self.camera_name in PAIR:
+            left, right, baseline_m = calibration.rectify(*PAIR)
+        else:
+            left, right, baseline_m = calibration.rectified(*PAIR_RECT)
+        return (left, right, baseline_m) if self.side == "left" else (right, left, baseline_m)
+
+    def _companion(self) -> Path:
+        """Return the folder with sweeps and poses: this log's, or the tracking log of the same name."""
+        if (self.folder / "poses").exists() or (self.folder / "lidar").exists():
+            return self.folder
+        for above in list(self.folder.parents)[1:4]:
+            found = next(iter(sorted(above.glob(f"argoverse-tracking/*/{self.folder.name}"))), None)
+            if found is not None:
+                return found
+        return self.folder
+
+    def _pose(self, time: int) -> Matrix | None:
+        """T_world_ego at a time in ns: as stored, or interpolated between the poses around it; None outside."""
+        after = bisect_left(self._pose_times, time)
+        around = self._pose_times[max(after - 1, 0) : after + 1]
+        if time in around:
+            return _read_pose(self._poses[time])
+        if len(around) < 2 or not around[0] < time < around[1] or around[1] - around[0] > POSE_GAP_NS:
+            return None
+        share = (time - around[0]) / (around[1] - around[0])
+        T_world_a, T_world_b = (_read_pose(self._poses[t]) for t in around)
+        T_a_b = invert(T_world_a) @ T_world_b
+        T_a_time = np.eye(4)
+        T_a_time[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()).as_matrix()
+        T_a_time[:3, 3] = share * T_a_b[:3, 3]
+        return T_world_a @ T_a_time
+
+    def _T_cam_lidar(self, time: int, T_world_ego: Matrix | None) -> Matrix | None:
+        """Map the nearest sweep, at its own time, into the camera at the image's time."""
+        if self._view.T_ego_cam is None:
+            return None
+        T_cam_ego = invert(self._view.T_ego_cam)
+        sweep = nearest(self._sweep_times, time, NEAR_SWEEP_NS)
+        T_world_lidar = None if sweep is None else self._pose(sweep)
+        if T_world_ego is None or T_world_lidar is None:
+            return T_cam_ego
+        return T_cam_ego @ invert(T_world_ego) @ T_world_lidar
+
+    def _read_sweep(self, time: int, offset: int) -> Sweep | None:
+        first = nearest(self._sweep_times, time, NEAR_SWEEP_NS)
+        if first is None:
+            return None
+        index = bisect_left(self._sweep_times, first) + offset
+        if not 0 <= index < len(self._sweep_times):
+            return None
+        sweep = self._sweep_times[index]
+        return Sweep(read_ply(self._sweeps[sweep]), self._pose(sweep))
+
+    def _find_disparities(self) -> dict[int, Path]:
+        if self.camera_name != PAIR_RECT[0]:
+            return {}
+        split, log = self.folder.parent.name, self.folder.name
+        inside = f"{log}/{PAIR_RECT[0]}_disparity"
+        if self._truth_option is None:
+            return by_time(self.folder.parents[2] / "disparity_maps_v1.1" / split / inside, [".png"])
+        truth = Path(self._truth_option)
+        for root in (truth / "disparity_maps_v1.1" / split, truth / split, truth):
+            found = by_time(root / inside, [".png"])
+            if found:
+                return found
+        raise DataError(f"{truth}: --truth should hold disparity_maps_v1.1/{split}/{inside}, found none")
+
+    def _read_truth(self, path: Path) -> Depth:
+        disparity_px = check_size(codecs.read_depth_png(path), path, self._view.camera)
+        assert self.baseline_m is not None  # the pair's calibration has been read
+        return Depth(convert_disparity(disparity_px, self._view.camera.fx, self.baseline_m))
+
+
+def by_time(folder: Path, suffixes: Iterable[str]) -> dict[int, Path]:
+    """Map nanoseconds, the digits that end a file's name, to the file, in time order."""
+    times = {}
+    for stem, path in stems(folder, suffixes).items():
+        digits = stem.rpartition("_")[2]
+        if digits.isdecimal():
+            times[int(digits)] = path
+    return dict(sorted(times.items()))
+
+
+def nearest(times: Sequence[int], time: int, within: int) -> int | None:
+    """Return the nearest of the sorted times, None where it is farther than `within`; the earlier one in a tie."""
+    after = bisect_left(times, time)
+    around = times[max(after - 1, 0) : after + 1]
+    best = min(around, key=lambda t: abs(t - time), default=None)
+    return None if best is None or abs(best - time) > within else best
+
+
+def _read_pose(path: Path) -> Matrix:
+    data = read_json(path)
+    return to_pose(data.get("rotation"), data.get("translation"), str(path))
+
+
+def _read_view(path: Path, view: View) -> Image:
+    return view.view(read_sized(path, view.camera))  # rectifying keeps the size
