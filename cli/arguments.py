@@ -22,11 +22,11 @@ class DriveArguments:
     """The drive's folder, as downloaded, or its parent with --drive."""
     dataset: DatasetName = "auto"
     """Data set; auto recognises it from the folder."""
-    options: tyro.conf.OmitArgPrefixes[DriveOptions] = DriveOptions()
+    part: tyro.conf.OmitArgPrefixes[DriveOptions] = DriveOptions()
 
     def open(self) -> Drive:
         """Open the drive."""
-        return drives.open_drive(self.data, self.dataset, self.options)
+        return drives.open_drive(self.data, self.dataset, self.part)
 
 
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:

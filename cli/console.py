@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from eval.protocol import ScoreError
 from priors.errors import DataError
 
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
@@ -21,7 +22,7 @@ def guarded(command: Callable[[], int]) -> int:
     _refuse_foreign_eval()
     try:
         return command()
-    except (DataError, ValueErrorOfOurs) as error:
+    except (DataError, ScoreError) as error:
         err.print(f"[bold red]error:[/] {_escape(str(error))}")
         return DATA_ERROR
     except KeyboardInterrupt:

@@ -1,0 +1,32 @@
+"""`priors check`: audit a drive."""
+
+from collections import Counter
+
+from rich.text import Text
+
+from cli.arguments import DriveArguments, parse
+from cli.console import DATA_ERROR, out
+from priors.check import check
+
+EXAMPLES = """Audit a drive: calibration, missing scans, frame joins, stereo sign and vertical offset, pose continuity, LiDAR-camera
+agreement. One line a finding; exits 1 where one is fatal.
+
+examples:
+  priors check street/
+  priors check KITTI/2011_09_26 --drive 2011_09_26_drive_0001_sync
+  priors check odometry/ --drive 06 --camera image_0
+"""
+STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "fatal": "bold red"}
+
+
+def run(arguments: list[str]) -> int:
+    """Audit; returns the exit code."""
+    drive = parse(DriveArguments, "check", EXAMPLES, arguments).open()
+    findings = check(drive)
+    for finding in findings:
+        out.print(
+            Text.assemble((f"{finding.level:<8}", STYLES[finding.level]), f"{finding.subject}: {finding.message}")
+        )
+    counts = Counter(finding.level for finding in findings)
+    out.print(", ".join(f"{counts[level]} {level}" for level in STYLES if counts[level]))
+    return DATA_ERROR if counts["fatal"] else 0

@@ -1,0 +1,162 @@
+"""`priors eval`: score cached maps against the drive's truth."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from cli.arguments import parse
+from cli.console import out, progress
+from eval import curves, table
+from eval.protocol import PRESETS, Protocol, preset
+from eval.result import Result, Scored, score
+from priors import cache, picture
+from priors.build import select
+from priors.cache import Prior
+from priors.drives import reopen
+from priors.errors import DataError
+from priors.labels import labels
+from priors.types import Drive, FloatMap
+
+EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior; writes metrics.json beside the maps.
+
+examples:
+  priors eval cache/
+  priors eval cache/ --protocol garg --frames 5:17 --save table.md
+  priors eval cache/DRIVE/stereo-KEY --truth KITTI/depth --ranges --curves curves.png
+  priors eval cache/ --against cache/DRIVE/lidar-KEY         another prior as truth
+  priors eval a/metrics.json b/metrics.json --save table.tex  a table of results made before
+"""
+
+
+@dataclass(frozen=True)
+class ScoreArguments:
+    """Arguments of `priors eval`."""
+
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    """Caches, drives' or priors' folders, or metrics.json files of earlier runs."""
+    protocol: Literal[*PRESETS] = "paper"  # type: ignore[valid-type]
+    """Which pixels count and how; docs/metrics.md has the definitions."""
+    align: Literal["none", "median", "lsq"] | None = None
+    """Fit each map to the truth first, instead of what the protocol says."""
+    pooling: Literal["image", "pixel"] | None = None
+    """Mean of the frames' figures or one figure over all pixels, instead of what the protocol says."""
+    frames: str | None = None
+    """Score only this range of frames, a:b."""
+    truth: Path | None = None
+    """Folder with KITTI depth maps, where the build was not told."""
+    against: Path | None = None
+    """Score against this prior instead of the drive's truth."""
+    metrics: tuple[str, ...] | None = None
+    """Columns of the table, e.g. abs_rel rmse d1; default: the protocol's usual ones."""
+    ranges: bool = False
+    """Also print AbsRel and RMSE by true distance."""
+    curves: Path | None = None
+    """Also draw the sparsification curves of priors with a confidence into this picture."""
+    save: tuple[Path, ...] = ()
+    """Also write the table: .md, .tex, .csv or .txt, as many as wanted."""
+
+
+def run(arguments: list[str]) -> int:
+    """Score; returns the exit code."""
+    args = parse(ScoreArguments, "eval", EXAMPLES, arguments)
+    files = [path for path in args.caches if path.suffix == ".json"]
+    priors = [prior for path in args.caches if path not in files for prior in cache.find(path)]
+    groups = [[Result.load(path) for path in files]] if files else []
+    for _, together in groupby(sorted(priors, key=_drive_of), key=_drive_of):
+        groups.append(_score_drive(list(together), args))
+    for results in groups:
+        _report(results, args, several=len(groups) > 1)
+    return 0
+
+
+def _drive_of(prior: Prior) -> tuple[str, ...]:
+    return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
+
+
+def _protocol(args: ScoreArguments) -> Protocol:
+    protocol = preset(args.protocol)
+    changes = {
+        "align": args.align,
+        "pooling": args.pooling,
+        "truth": None if args.against is None else args.against.name,
+    }
+    return replace(protocol, **{name: value for name, value in changes.items() if value is not None})  # type: ignore[arg-type]
+
+
+def _score_drive(priors: list[Prior], args: ScoreArguments) -> list[Result]:
+    """Score the priors of one drive."""
+    truth = {} if args.truth is None else {"truth": str(args.truth)}
+    drive = reopen({**priors[0].drive, **truth})
+    reference = None if args.against is None else _only(args.against)
+    protocol = _protocol(args)
+    results = []
+    for prior, name in zip(priors, labels(priors), strict=True):
+        ids = _scored_ids(prior, drive, reference, args.frames)
+        fx_baseline = _fx_baseline(drive)
+        info = {"prior": name, "drive": drive.name, "folder": prior.name}
+        with progress(name, len(ids)) as step:
+            result = score(_pairs(prior, drive, reference, ids, step), protocol, fx_baseline, info)
+        result.save(prior.folder / "metrics.json")
+        if args.curves is not None and (prior.folder / "confidence").is_dir():
+            samples = curves.collect((scored[1:] for scored in _pairs(prior, drive, reference, ids)), protocol)
+            _draw(samples, name, args.curves, fx_baseline)
+        results.append(result)
+    return results
+
+
+def _scored_ids(prior: Prior, drive: Drive, reference: Prior | None, frames: str | None) -> list[str]:
+    """List the cached frames that have a truth; DataError where none has."""
+    wanted = {drive.ids[index] for index in select(drive.ids, frames)}
+    cached = [id_ for id_ in prior.ids() if id_ in wanted]
+    if not cached:
+        asked = "" if frames is None else f" in --frames {frames}"
+        raise DataError(f"{prior.folder}: no maps of {drive.name}{asked}: build them first")
+    if reference is not None:
+        return [id_ for id_ in cached if reference.has(id_)]
+    index = {id_: i for i, id_ in enumerate(drive.ids)}
+    with_truth = [id_ for id_ in cached if drive[index[id_]].has("truth")]
+    if not with_truth:
+        drive[index[cached[0]]].truth()  # raises with the drive's own reason
+    return with_truth
+
+
+def _pairs(
+    prior: Prior, drive: Drive, reference: Prior | None, ids: Sequence[str], step: object = None
+) -> Iterator[Scored]:
+    """Read map and truth of each frame as it is asked for."""
+    index = {id_: i for i, id_ in enumerate(drive.ids)}
+    for id_ in ids:
+        made = prior.read(id_)
+        truth = drive[index[id_]].truth() if reference is None else reference.read(id_)
+        yield id_, made.depth_m, made.confidence, truth.depth_m
+        if callable(step):
+            step()
+
+
+def _fx_baseline(drive: Drive) -> float | None:
+    frame = drive[0]
+    return None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
+
+
+def _only(path: Path) -> Prior:
+    found = cache.find(path)
+    if len(found) > 1:
+        raise DataError(f"{path}: holds {len(found)} priors: name one, for example {found[0].folder}")
+    return found[0]
+
+
+def _report(results: Sequence[Result], args: ScoreArguments, several: bool) -> None:
+    """Print one drive's table and write what was asked for."""
+    drive = str(results[0].info.get("drive", ""))
+    out.print(f"[bold]{drive}[/]")
+    table.show(results, args.metrics, out)
+    if args.ranges:
+        _print_ranges(results)
+    for path in args.save:
+        path = path.with_name(f"{path.stem}-{drive}{path.suffix}") if several and drive else path
+        table.save(results, path)
+        out.print(f"wrote {path}")
