@@ -105,6 +105,12 @@ class Argoverse1:
         """Digest calibration, poses and the first image."""
         return digest([self._calibration_file, *self._poses.values(), next(iter(self._images.values()))])
 
+    def scans(self) -> dict[str, list[str]]:
+        """List the frame ids that have a partner and a sweep near enough in time, and truth, for the audit."""
+        near = {"other": (self._other_times, NEAR_OTHER_NS), "sweep": (self._sweep_times, NEAR_SWEEP_NS)}
+        found = {what: [str(t) for t in self._times if nearest(times, t, ns)] for what, (times, ns) in near.items()}
+        return found | {"truth": [str(time) for time in self._disparities]}
+
     def __len__(self) -> int:
         return len(self.ids)
 

@@ -85,6 +85,10 @@ class Folder:
         poses = [path for path in [self.folder / "poses.txt"] if path.is_file()]
         return digest([self.folder / "calib.json", *poses, next(iter(self._images.values()))])
 
+    def scans(self) -> dict[str, list[str]]:
+        """List the frame ids that each kind of file has, for the audit."""
+        return {"other": list(self._others), "depth": list(self._maps["truth"]), "pose": list(self._pose_lines)}
+
     def __len__(self) -> int:
         return len(self.ids)
 

@@ -122,6 +122,10 @@ class KittiOdometry:
         poses = [self._pose_file] if self._pose_file.is_file() else []
         return digest([self.folder / "calib.txt", *poses, next(iter(self._images.values()))])
 
+    def scans(self) -> dict[str, list[str]]:
+        """List the frame ids each sensor has, for the audit."""
+        return {"other": list(self._others), "sweep": list(self._sweeps)}
+
     def __len__(self) -> int:
         return len(self.ids)
 

@@ -118,6 +118,10 @@ class KittiRaw:
         calibration = sorted(self.folder.parent.glob("calib_*.txt"))
         return digest([*calibration, *self._oxts.values(), next(iter(self._images.values()))])
 
+    def scans(self) -> dict[str, list[str]]:
+        """List the frame ids each sensor has, for the audit."""
+        return {"other": list(self._others), "sweep": list(self._sweeps), "oxts": list(self._oxts)}
+
     def __len__(self) -> int:
         return len(self.ids)
 
