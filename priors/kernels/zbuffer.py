@@ -15,13 +15,15 @@ def splat(
     P: npt.NDArray[np.float64],
     source: int,
     agree: float,
+    free_m: npt.NDArray[np.float32],
     depth_m: npt.NDArray[np.float32],
     sources: npt.NDArray[np.int16],
 ) -> None:
     """Untwist, project and z-buffer one sweep into depth_m and sources (height, width), in place.
 
-    A point takes the pixel where it is nearer than what is there. Where what is there came from another sweep, it must
-    be nearer by more than the share `agree`: the sweep splatted first is believed about a surface that both saw.
+    A point takes the pixel where it is nearer than what is there, and not in free space. Where what is there came from
+    another sweep, it must be nearer by more than the share `agree`: the sweep splatted first is believed about a
+    surface that both saw.
 
     Args:
         xyz_m: (n, 3) points in the LiDAR's frame; behind the camera, outside the image or not finite: left out.
@@ -30,6 +32,7 @@ def splat(
         P: (3, 4) LiDAR to pixels: K [R t].
         source: number of this sweep, written to sources where its points win.
         agree: share of the depth within which two sweeps see the same surface.
+        free_m: depth (height, width) up to which space is known to be free: nearer points are left out; 0 = not known.
         depth_m: metres; inf where there is no value.
         sources: which sweep each value is from.
     """
@@ -62,6 +65,8 @@ def splat(
         if not (u >= 0 and v >= 0 and u < width and v < height):
             continue
         column, row = int(u), int(v)
+        if depth < free_m[row, column]:
+            continue
         limit = depth_m[row, column]
         if sources[row, column] != source:
             limit *= 1.0 - agree

@@ -2,17 +2,18 @@
 
 What must go, and the test that finds it:
 - A far surface seen through the gaps between a near surface's scan lines (`hidden`).
-- A thing that moved between the sweeps: where the frame's own sweep looks past the point (`looked_past`).
+- A thing that moved between the sweeps: where the frame's own sweep looks past the point (`free_space`).
 - Either of them, and what no LiDAR tells: where the stereo pair sees another depth (`stereo_denies`).
 
 The windows are angles: what separates a 64-line scanner's samples, turned into pixels by the focal length.
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Self, TypeAlias
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.geometry import invert
@@ -24,7 +25,9 @@ AGREE = 0.02  # share of the depth within which two sweeps see the same surface
 NEARER = 0.05  # share of the depth by which another surface lies in front
 STEREO_SLACK_PX, STEREO_SLACK = 1.0, 0.05  # px at full size plus a share of the disparity
 STEREO_FOCAL_PX = 721.0  # the slack's pixels are those of KITTI's cameras
+SEARCH_MARGIN_PX = 4  # beyond the disparities that the LiDAR saw
 NO_SOURCE = np.int16(32767)
+Sources: TypeAlias = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True)
@@ -57,27 +60,25 @@ class Lidar:
 
         Raises DataError where the drive has no LiDAR, or misses every sweep around the frame.
         """
-        depth_m, sources = accumulate(frame, self.sweeps)
-        seen = np.isfinite(depth_m)
-        if self.motion and self.sweeps > 1:
-            seen &= ~looked_past(depth_m, sources, frame.camera.fx)
+        depth_m = accumulate(frame, self.sweeps, self.motion)
         if self.occlusion:
-            seen &= ~hidden(np.where(seen, depth_m, np.float32(np.inf)), frame.camera.fx)
+            depth_m[hidden(depth_m, frame.camera.fx)] = np.inf
         if self.stereo and frame.baseline_m is not None and frame.has("other"):
-            seen &= ~stereo_denies(frame, depth_m, seen)
-        return Depth(np.where(seen, depth_m, np.float32(0)))
+            depth_m[stereo_denies(frame, depth_m)] = np.inf
+        depth_m[np.isinf(depth_m)] = 0
+        return Depth(depth_m)
 
 
-def accumulate(frame: Frame, count: int) -> tuple[FloatMap, "np.ndarray[tuple[int, ...], np.dtype[np.int16]]"]:
-    """Z-buffer `count` sweeps around the frame, its own first.
+def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
+    """Z-buffer `count` sweeps around the frame, its own first: depth (height, width), inf where no point falls.
 
-    Returns:
-        depth_m (height, width), inf where no point falls, and the offset of the sweep each value is from.
+    With `motion`, points of the others are left out where the own sweep sees free space.
     """
     from priors.kernels.zbuffer import splat
 
     depth_m = np.full(frame.camera.size, np.inf, dtype=np.float32)
     sources = np.full(frame.camera.size, NO_SOURCE)
+    free_m = np.zeros(frame.camera.size, dtype=np.float32)
     found = False
     for offset in sorted(range(-(count // 2), (count + 1) // 2), key=abs):
         placed = _place(frame, offset)
@@ -86,13 +87,15 @@ def accumulate(frame: Frame, count: int) -> tuple[FloatMap, "np.ndarray[tuple[in
         sweep, T_cam_lidar = placed
         P = frame.camera.K @ T_cam_lidar[:3]
         if sweep.time_s is None or sweep.velocity is None:
-            splat(sweep.xyz_m, np.zeros(0, np.float32), np.zeros(6), P, offset, AGREE, depth_m, sources)
+            splat(sweep.xyz_m, np.zeros(0, np.float32), np.zeros(6), P, offset, AGREE, free_m, depth_m, sources)
         else:
-            splat(sweep.xyz_m, sweep.time_s, sweep.velocity, P, offset, AGREE, depth_m, sources)
+            splat(sweep.xyz_m, sweep.time_s, sweep.velocity, P, offset, AGREE, free_m, depth_m, sources)
+        if offset == 0 and motion and count > 1:
+            free_m = free_space(depth_m, frame.camera.fx)
         found = True
     if not found:
         raise DataError(f"frame {frame.id}: no sweep at it or {count // 2} frames around: leave it out with --frames")
-    return depth_m, sources
+    return depth_m
 
 
 def _place(frame: Frame, offset: int) -> tuple[Sweep, Matrix] | None:
@@ -113,57 +116,82 @@ def _place(frame: Frame, offset: int) -> tuple[Sweep, Matrix] | None:
 
 
 def hidden(depth_m: FloatMap, fx_px: float) -> Mask:
-    """Tell which values (height, width; inf = none) lie inside the outline of a nearer surface.
+    """Tell which values (height, width; inf = none, may come out either way) lie inside a nearer surface's outline.
 
     A value is inside when each of the four quadrants around it, a scan line's gap high, holds a nearer value. No plane
     hides itself, however grazing: on one side of every line in the image its depth does not fall.
     """
-    rows, columns = 1 + round(LINE_GAP_RAD * fx_px), 1 + round(1.5 * COLUMN_GAP_RAD * fx_px)
-    nearer = depth_m * np.float32(1 - NEARER)
-    inside = np.isfinite(depth_m)
-    for anchor_y in (0, rows):
-        for anchor_x in (0, columns):
-            inside &= _lowest(depth_m, rows + 1, columns + 1, anchor_x, anchor_y) < nearer
-    return inside
+    height, width = depth_m.shape
+    rows, columns = window(fx_px)
+    nearest = _nearest(depth_m, rows, columns)
+    farthest = np.maximum(nearest[:height, :width], nearest[rows:, :width])  # above left, below left
+    np.maximum(farthest, nearest[:height, columns:], out=farthest)
+    np.maximum(farthest, nearest[rows:, columns:], out=farthest)
+    return farthest < np.multiply(depth_m, np.float32(1 - NEARER), out=nearest[:height, :width])
 
 
-def looked_past(depth_m: FloatMap, sources: "np.ndarray[tuple[int, ...], np.dtype[np.int16]]", fx_px: float) -> Mask:
-    """Tell which values of other sweeps float where the own sweep (source 0) sees a farther surface.
+def free_space(own_m: FloatMap, fx_px: float) -> FloatMap:
+    """Return how far space is free for certain along every pixel, metres, by one sweep (inf = none); 0 = not known.
 
-    The own sweep must have samples both above and below, within a scan line's gap, all of them farther: the point's
-    surface was not there when the own sweep, and the camera, looked.
+    It is where samples lie both above and below, within a scan line's gap: a little less far than the nearest of them.
+    A point nearer than that was not there when this sweep, and the camera, looked.
     """
-    rows, columns = 1 + round(LINE_GAP_RAD * fx_px), round(COLUMN_GAP_RAD * fx_px)
-    own = np.where(sources == 0, depth_m, np.float32(np.inf))
-    above = _lowest(own, rows + 1, 2 * columns + 1, columns, rows)
-    below = _lowest(own, rows + 1, 2 * columns + 1, columns, 0)
-    past = (sources != 0) & np.isfinite(above) & np.isfinite(below)
-    return past & (np.minimum(above, below) > depth_m * np.float32(1 + NEARER))
+    height, width = own_m.shape
+    rows, columns = window(fx_px)
+    nearest = _nearest(own_m, rows, 2 * columns)[:, columns : columns + width]
+    above, below = nearest[:height], nearest[rows:]
+    free_m = np.minimum(above, below) * np.float32(1 - NEARER)
+    free_m[np.isinf(np.maximum(above, below))] = 0
+    return free_m
 
 
-def _lowest(depth_m: FloatMap, rows: int, columns: int, anchor_x: int, anchor_y: int) -> FloatMap:
-    """Return the smallest value in a window around every pixel; the anchor is the pixel's place in it."""
-    return np.asarray(cv2.erode(depth_m, np.ones((rows, columns), np.uint8), anchor=(anchor_x, anchor_y)))
+def window(fx_px: float) -> tuple[int, int]:
+    """Return how many rows and columns away the scanner's next sample is: one more than the gap."""
+    return 1 + round(LINE_GAP_RAD * fx_px), 1 + round(COLUMN_GAP_RAD * fx_px)
 
 
-def stereo_denies(frame: Frame, depth_m: FloatMap, seen: Mask) -> Mask:
-    """Tell which values disagree with a quick stereo match, where that has one, or has one beside."""
+def _nearest(depth_m: FloatMap, rows: int, columns: int) -> FloatMap:
+    """Return the smallest value of every window (rows + 1, columns + 1) that touches the map.
+
+    Element [i, j] of (height + rows, width + columns) is the window that ends at row i and column j.
+    """
+    padded = cv2.copyMakeBorder(depth_m, rows, rows, columns, columns, cv2.BORDER_CONSTANT, value=np.inf)
+    smallest = cv2.erode(padded, np.ones((rows + 1, columns + 1), np.uint8), anchor=(0, 0))
+    return np.asarray(smallest[: depth_m.shape[0] + rows, : depth_m.shape[1] + columns])
+
+
+def stereo_denies(frame: Frame, depth_m: FloatMap) -> Mask:
+    """Tell which values (inf = none) disagree with a quick stereo match, where that has one.
+
+    A value may agree with any of the 3x3 disparities around it: at an outline the match is not sharper than that.
+    """
     from priors.matching import quick_match
 
-    if not seen.any() or frame.baseline_m is None:
-        return np.zeros_like(seen)
-    focal_baseline = np.float32(frame.camera.fx * frame.baseline_m)
-    disparity_px = focal_baseline / depth_m
-    largest = int(np.ceil(np.quantile(disparity_px[seen], 0.999))) + 4
+    if frame.baseline_m is None or np.isinf(depth_m).all():
+        return np.zeros(depth_m.shape, dtype=bool)
+    disparity_px = np.float32(frame.camera.fx * frame.baseline_m) / depth_m  # 0 where there is no value
+    some_px = disparity_px[::3, ::3]
+    largest_px = int(np.ceil(np.quantile(some_px[some_px > 0], 0.999))) + SEARCH_MARGIN_PX if some_px.any() else None
     image, other = frame.image(), frame.other()
     if frame.side == "left":
-        matched_px = quick_match(image, other, largest)
+        matched_px = quick_match(image, other, largest_px)
     else:  # in the mirror, the right camera is the left one
-        matched_px = quick_match(image[:, ::-1], other[:, ::-1], largest)[:, ::-1]
-    window = np.ones((3, 3), np.uint8)
-    known = matched_px > 0
-    lowest = cv2.erode(np.where(known, matched_px, np.float32(np.inf)), window)
-    highest = cv2.dilate(matched_px, window)
-    slack_px = np.float32(STEREO_SLACK_PX * frame.camera.fx / STEREO_FOCAL_PX) + np.float32(STEREO_SLACK) * disparity_px
-    outside = (disparity_px < lowest - slack_px) | (disparity_px > highest + slack_px)
-    return np.asarray(known & outside)
+        matched_px = quick_match(image[:, ::-1], other[:, ::-1], largest_px)[:, ::-1]
+    lowest_px, highest_px = _spread(matched_px)
+    slack_px = np.float32(STEREO_SLACK) * disparity_px + np.float32(STEREO_SLACK_PX * frame.camera.fx / STEREO_FOCAL_PX)
+    denied = disparity_px + slack_px < lowest_px
+    denied |= disparity_px - slack_px > highest_px
+    return denied
+
+
+def _spread(matched_px: FloatMap) -> tuple[FloatMap, FloatMap]:
+    """Return the least and the greatest match in 3x3 pixels; 0 and inf, which deny nothing, where there is none."""
+    around = np.ones((3, 3), np.uint8)
+    unknown = matched_px == 0
+    highest_px = np.asarray(cv2.dilate(matched_px, around), dtype=np.float32)
+    highest_px[unknown] = np.inf
+    lowest_px = matched_px.copy()
+    lowest_px[unknown] = np.inf
+    lowest_px = np.asarray(cv2.erode(lowest_px, around), dtype=np.float32)
+    lowest_px[unknown] = 0
+    return lowest_px, highest_px
