@@ -10,11 +10,12 @@ import numpy as np
 from priors.types import FloatMap, Image
 
 STEP_PX = 16  # OpenCV wants a multiple of 16 disparities
+WINDOW_PX = 5
 PENALTY_SMALL, PENALTY_LARGE = 8, 32  # per pixel of the window's area
 SCALE = np.float32(1 / 16)  # OpenCV's fixed point
 
 
-def match(left: Image, right: Image, max_disparity_px: int | None = None, window: int = 3) -> FloatMap:
+def match(left: Image, right: Image, max_disparity_px: int | None = None, window: int = WINDOW_PX) -> FloatMap:
     """Match a pair of equal size, (height, width) or (height, width, 3), at full resolution.
 
     Args:
@@ -43,7 +44,9 @@ def quick_match(left: Image, right: Image, max_disparity_px: int | None = None) 
     if max_disparity_px is None:
         max_disparity_px = 2 * find_max_disparity(left, right)
     half = _match_grey(left, right, (max_disparity_px + 1) // 2, 3)
-    return np.asarray(2 * cv2.resize(half, (width, height), interpolation=cv2.INTER_NEAREST), dtype=np.float32)
+    size = (2 * half.shape[1], 2 * half.shape[0])
+    full = cv2.resize(half, size, interpolation=cv2.INTER_NEAREST)[:height, :width]
+    return np.multiply(full, np.float32(2), dtype=np.float32)
 
 
 def find_max_disparity(left: Image, right: Image) -> int:
@@ -66,9 +69,11 @@ def to_grey(image: Image) -> Image:
 
 
 def halve(image: Image) -> Image:
-    """Return the grey image at half its size (rounded up), each pixel the mean of four."""
+    """Return the grey image at half its size (rounded up), each pixel the mean of four; an odd border is doubled."""
     height, width = image.shape
-    size = (max(1, (width + 1) // 2), max(1, (height + 1) // 2))
+    if height % 2 or width % 2:
+        image = np.asarray(cv2.copyMakeBorder(image, 0, height % 2, 0, width % 2, cv2.BORDER_REPLICATE))
+    size = ((width + 1) // 2, (height + 1) // 2)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
@@ -92,7 +97,19 @@ def _match_grey(left: Image, right: Image, max_disparity_px: int, window: int) -
     # OpenCV leaves the first `count` columns out; padding gives them back.
     pad = (0, 0, count, 0, cv2.BORDER_REPLICATE)
     fixed = matcher.compute(cv2.copyMakeBorder(left, *pad), cv2.copyMakeBorder(right, *pad))[:, count:]
-    disparity_px = fixed.astype(np.float32) * SCALE
+    disparity_px = unlock(fixed.astype(np.float32) * SCALE)
     outside = disparity_px > np.arange(left.shape[1], dtype=np.float32)
     disparity_px[outside | (disparity_px < 0)] = 0
     return disparity_px
+
+
+def unlock(disparity_px: FloatMap) -> FloatMap:
+    """Undo the matcher's pull towards whole pixels.
+
+    A parabola through costs that are flat near a whole pixel (Birchfield-Tomasi's are) is drawn to it, by up to a
+    quarter of a pixel on known shifts. f + sin(2 pi f) / (2 pi), the strongest such wave that keeps the order of
+    disparities, takes most of that back.
+    """
+    wave = np.sin(np.arange(16) * (np.pi / 8)) / (2 * np.pi)
+    sixteenth = (disparity_px * 16).astype(np.int32) & 15
+    return disparity_px + wave.astype(np.float32)[sixteenth]
