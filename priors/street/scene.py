@@ -1,0 +1,122 @@
+"""Rays against a still scene and the cars that move through it; the casting itself is Embree's."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from priors.street.mesh import Mesh
+
+Floats = npt.NDArray[np.float32]
+MISS = -1
+
+
+@dataclass(frozen=True, slots=True)
+class Hits:
+    """What n rays met."""
+
+    distance: Floats
+    """(n,) in lengths of the ray's direction; infinite where nothing was met."""
+    triangle: npt.NDArray[np.int32]
+    """(n,) index into the scene's triangles, still ones first; -1 = nothing."""
+    weights: Floats
+    """(n, 2) barycentric weights of the triangle's second and third corner."""
+    normal: Floats
+    """(n, 3) unit normal in the world, turned towards the ray's origin; 0 where nothing was met."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid thing that moves."""
+
+    mesh: Mesh
+    """In its own frame: x forward, y left, z up."""
+    pose: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
+    """T_world_body (n, 4, 4) at times (n,)."""
+
+
+class Scene:
+    """A still mesh and bodies, ready for rays."""
+
+    def __init__(self, still: Mesh, bodies: Sequence[Body] = ()) -> None:
+        self._still = _build(still)
+        self._bodies = [(_build(body.mesh), body) for body in bodies]
+        starts = np.cumsum([len(still), *(len(body.mesh) for body in bodies)])
+        self._starts = starts.astype(np.int32)
+
+    def cast(self, origins: Floats, directions: Floats, time_s: npt.NDArray[np.float64] | float) -> Hits:
+        """Find what rays (n, 3) meet first at their times (n,), or at one time."""
+        found = self._still.run(origins, directions, query="INTERSECT", output=True)
+        distance = np.where(found["primID"] >= 0, found["tfar"], np.float32(np.inf))
+        triangle, normal = found["primID"], found["Ng"]
+        weights = np.stack([found["u"], found["v"]], axis=1)
+        for (scene, body), start in zip(self._bodies, self._starts, strict=False):
+            near, T_world_body = _near(body, origins, directions, time_s, distance)
+            if near.size == 0:
+                continue
+            inside = _into(T_world_body, origins[near], directions[near])
+            seen = scene.run(*inside, query="INTERSECT", output=True)
+            nearer = (seen["primID"] >= 0) & (seen["tfar"] < distance[near])
+            won = near[nearer]
+            distance[won], triangle[won] = seen["tfar"][nearer], seen["primID"][nearer] + start
+            weights[won] = np.stack([seen["u"], seen["v"]], axis=1)[nearer]
+            rotation = T_world_body[:, :3, :3][nearer if len(T_world_body) > 1 else slice(None)]
+            normal[won] = np.einsum("nij,nj->ni", np.broadcast_to(rotation, (len(won), 3, 3)), seen["Ng"][nearer])
+        return Hits(distance, triangle, weights, _towards(normal, directions))
+
+    def blocked(self, origins: Floats, direction: Floats, time_s: float) -> npt.NDArray[np.bool_]:
+        """Tell which points (n, 3) have something between them and a light far away along direction (3,)."""
+        directions = np.ascontiguousarray(np.broadcast_to(direction, origins.shape))
+        dark: npt.NDArray[np.bool_] = self._still.run(origins, directions, query="OCCLUDED") >= 0
+        for scene, body in self._bodies:
+            near, T_world_body = _near(body, origins, directions, time_s, None)
+            near = near[~dark[near]]
+            if near.size:
+                dark[near] = scene.run(*_into(T_world_body, origins[near], directions[near]), query="OCCLUDED") >= 0
+        return dark
+
+
+def _build(mesh: Mesh) -> EmbreeScene:
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.ascontiguousarray(mesh.corners))
+    one = np.array([[0, 0, 0]], np.float32), np.array([[0, 0, 1]], np.float32)
+    scene.run(*one)  # the first query builds the tree: here, not in whichever thread comes first
+    return scene
+
+
+def _near(
+    body: Body, origins: Floats, directions: Floats, time_s: npt.NDArray[np.float64] | float, distance: Floats | None
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:
+    """Return the rays that pass the body's bounding ball before `distance`, and its poses for them (or its one)."""
+    low, high = body.mesh.corners.min(axis=(0, 1)), body.mesh.corners.max(axis=(0, 1))
+    centre, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+    times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
+    middle_pose = body.pose(times[[len(times) // 2]])[0]
+    slack = 3.0 if len(times) > 1 else 0.0  # how far it may be from its middle place within one turn of the scanner
+    middle = (middle_pose[:3, :3] @ centre + middle_pose[:3, 3]).astype(np.float32)
+    offset = middle - origins
+    along = np.einsum("ni,ni->n", offset, directions)
+    length2 = np.einsum("ni,ni->n", directions, directions)
+    apart2 = np.einsum("ni,ni->n", offset, offset) - along * along / length2
+    near = (apart2 < (radius + slack) ** 2) & (along > -radius * np.sqrt(length2))
+    if distance is not None:
+        near &= along < distance * length2 + (radius + slack) * np.sqrt(length2)
+    chosen = np.flatnonzero(near)
+    pose = body.pose(times[chosen]) if len(times) > 1 else middle_pose[None]
+    return chosen, pose.astype(np.float32)
+
+
+def _into(T_world_body: Floats, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:
+    """Express rays in the body's frame."""
+    back = np.broadcast_to(np.swapaxes(T_world_body[:, :3, :3], 1, 2), (len(origins), 3, 3))
+    start = np.einsum("nij,nj->ni", back, origins - T_world_body[:, :3, 3])
+    return np.ascontiguousarray(start), np.ascontiguousarray(np.einsum("nij,nj->ni", back, directions))
+
+
+def _towards(normal: Floats, directions: Floats) -> Floats:
+    length = np.sqrt(np.einsum("ni,ni->n", normal, normal))
+    away = np.einsum("ni,ni->n", normal, directions) > 0
+    return normal * (np.where(away, np.float32(-1), np.float32(1)) / np.maximum(length, np.float32(1e-20)))[:, None]

@@ -1,0 +1,60 @@
+"""A street to look at: pictures with truth from any pose, and the rig's own drive through it."""
+
+from functools import cached_property
+
+import numpy as np
+
+from priors import geometry
+from priors.street import lidar, rig
+from priors.street.config import StreetConfig
+from priors.street.path import Ego
+from priors.street.render import Renderer, View
+from priors.street.scene import Scene
+from priors.street.world import World
+from priors.types import Camera, FloatMap, Image, Mask, Matrix
+
+FRAME_S = 0.1
+LEFT, RIGHT, LASER = 2, 3, 9
+
+
+class Street:
+    """One procedural street; everything follows from its config, and so from its seed."""
+
+    def __init__(self, seed: int, length_m: float = 340.0, config: StreetConfig | None = None) -> None:
+        self.config = config or StreetConfig.draw(seed, length_m)
+        self.world = World(self.config)
+        self.ego = Ego(self.config, self.world.path)
+        self.scene = Scene(self.world.still, self.world.bodies)
+
+    @cached_property
+    def _renderer(self) -> Renderer:
+        return Renderer(self.world, self.scene)
+
+    def T_world_cam(self, time_s: float) -> Matrix:
+        """Return the left camera's pose (4, 4) on the rig's drive."""
+        T: Matrix = self.ego.T_world_rig(time_s)[0] @ geometry.invert(rig.FACING)
+        return T
+
+    def T_world_velo(self, time_s: Matrix) -> Matrix:
+        """Return the LiDAR's poses (n, 4, 4) on the rig's drive at times (n,)."""
+        T: Matrix = self.ego.T_world_rig(time_s) @ geometry.invert(rig.FACING) @ rig.T_left_velo()
+        return T
+
+    def view(self, T_world_cam: Matrix, camera: Camera, time_s: float = 0.0, noise_seed: int = 0) -> View:
+        """Draw what a camera sees from any pose (4, 4), at the time that decides where the traffic is."""
+        rng = np.random.default_rng([self.config.seed, 7, noise_seed])
+        return self._renderer.view(T_world_cam, camera, time_s, rng)
+
+    def pair(
+        self, T_world_cam: Matrix, camera: Camera, time_s: float = 0.0, noise_seed: int = 0
+    ) -> tuple[Image, Image, FloatMap, Mask]:
+        """Draw a stereo pair for a left camera's pose: left, right (h, w, 3), left's depth in metres and sky mask."""
+        left = self.view(T_world_cam, camera, time_s, 2 * noise_seed)
+        right = self.view(rig.right_of(T_world_cam), camera, time_s, 2 * noise_seed + 1)
+        return left.image, right.image, left.depth_m, left.sky
+
+    def sweep(self, time_s: float, noise_seed: int = 0) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+        """Measure one LiDAR turn on the rig's drive: points (n, 4) x y z reflectance, times (n,); see lidar.scan."""
+        rng = np.random.default_rng([self.config.seed, 8, noise_seed])
+        material, tint = self._renderer.surfaces()
+        return lidar.scan(self.scene, material, tint, self.T_world_velo, time_s, rng)

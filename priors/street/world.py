@@ -1,0 +1,191 @@
+"""The world: blocks of houses, gardens and parks along a bent street, parked cars, furniture and traffic."""
+
+from functools import partial
+
+import numpy as np
+import numpy.typing as npt
+
+from priors.street import buildings, cars, furniture, ground, mesh, plants
+from priors.street.config import KERB_HEIGHT_M, KERB_M, StreetConfig
+from priors.street.materials import Material
+from priors.street.mesh import Mesh
+from priors.street.path import BEHIND_M, Path
+from priors.street.scene import Body
+
+PROTOTYPES = 7
+GAP_M = 9.0
+
+
+class World:
+    """A still mesh in world coordinates and the cars that drive through it."""
+
+    def __init__(self, config: StreetConfig) -> None:
+        self.config = config
+        self.path = Path(config)
+        rng = np.random.default_rng([config.seed, 4])
+        self._trees = [plants.tree(rng) for _ in range(PROTOTYPES)]
+        self._bushes = [plants.bush(rng) for _ in range(4)]
+        self._cars = [cars.car(rng) for _ in range(14)]
+        parts = [ground.road(config, (-BEHIND_M, config.length_m + 40))]
+        for side in (1, -1):
+            parts += self._side(side)
+        # What is far from the centre line is not bent: offset curves of that size would fold.
+        self.still = mesh.merge([self._bend(mesh.merge(parts)), ground.terrain(config, BEHIND_M), *self._distance()])
+        self.bodies = self._traffic(rng)
+
+    def _bend(self, straight: Mesh) -> Mesh:
+        corners = self.path.bend(straight.corners).astype(np.float32)
+        return Mesh(corners, straight.uv, straight.material, straight.tint, straight.key)
+
+    def _side(self, side: int) -> list[Mesh]:
+        """Build one side of the street, block by block; each block has its own seed."""
+        parts, s, number = [], -BEHIND_M, 0
+        while s < self.config.length_m:
+            rng = np.random.default_rng([self.config.seed, 5, side + 1, number])
+            length = float(rng.uniform(40, 110))
+            built = bool(rng.random() < self.config.built_share[0 if side > 0 else 1])
+            parts += ground.block_side(self.config, (s, s + length), side, not built, rng.uniform(0, 999))
+            parts += self._houses(rng, side, s, s + length) if built else self._park(rng, side, s, s + length)
+            parts += self._pavement(rng, side, s, s + length)
+            parts.append(ground.side_street(self.config, (s + length, s + length + GAP_M), side))
+            s, number = s + length + GAP_M, number + 1
+        return parts
+
+    def _put(self, part: Mesh, s: float, t: float, side: int, z: float = KERB_HEIGHT_M) -> Mesh:
+        """Move a part built for the left side to (s, t) on the given side."""
+        moved = mesh.place(part, [s, t, z])
+        return mesh.mirror(moved, side)
+
+    def _houses(self, rng: np.random.Generator, side: int, start: float, end: float) -> list[Mesh]:
+        """Fill a block with houses: a closed row at the pavement, or detached ones behind front gardens."""
+        parts, s = [], start + 0.5
+        front = self.config.front_m(side)
+        row = rng.random() < 0.6
+        setback = 0.05 if row else float(rng.uniform(2.5, 6.0))
+        floors = int(rng.integers(self.config.floors[0], self.config.floors[1] + 1))
+        while s < end - 6:
+            width = min(float(rng.uniform(7, 15)), end - s - 0.3)
+            storeys = int(np.clip(floors + rng.integers(-1, 2), 2, 5))
+            step = setback + float(rng.uniform(0, 0.6 if row else 1.5))
+            parts.append(self._put(buildings.house(rng, width, storeys), s, front + step, side))
+            if not row:
+                parts += self._front_garden(rng, side, s, width)
+            s += width + (0.0 if row and rng.random() < 0.9 else float(rng.uniform(1.5, 5.0)))
+        return parts
+
+    def _front_garden(self, rng: np.random.Generator, side: int, s: float, width: float) -> list[Mesh]:
+        """Close a garden off towards the pavement, with something green behind."""
+        make = rng.choice([furniture.wall, furniture.fence, plants.hedge], p=[0.4, 0.25, 0.35])
+        length = width * float(rng.uniform(0.6, 0.95))
+        border = (
+            make(rng, length) if make is not plants.hedge else plants.hedge(rng, length, float(rng.uniform(0.8, 1.7)))
+        )
+        front = self.config.front_m(side)
+        parts = [self._put(border, s, front + 0.1, side)]
+        for _ in range(int(rng.integers(0, 3))):
+            green = self._bushes[rng.integers(len(self._bushes))]
+            spot = mesh.place(green, [0, 0, 0], rng.uniform(0, 6.28), rng.uniform(0.6, 1.3), rng.uniform(0, 99))
+            parts.append(self._put(spot, s + rng.uniform(0, width), front + rng.uniform(1.2, 2.2), side))
+        return parts
+
+    def _park(self, rng: np.random.Generator, side: int, start: float, end: float) -> list[Mesh]:
+        """Fill a block with trees behind a wall or a hedge, and a row of green farther back."""
+        front = self.config.front_m(side)
+        parts = []
+        kind = rng.random()
+        if kind < 0.4:
+            parts.append(self._put(furniture.wall(rng, end - start), start, front + 0.2, side))
+        elif kind < 0.75:
+            parts.append(
+                self._put(plants.hedge(rng, end - start, float(rng.uniform(1.0, 2.2))), start, front + 0.2, side)
+            )
+        for _ in range(int((end - start) / 6)):
+            parts.append(self._tree(rng, side, rng.uniform(start, end), front + rng.uniform(2.5, 18)))
+        for s in np.arange(start, end, 5.0):
+            parts.append(self._tree(rng, side, s + rng.uniform(-1, 1), front + rng.uniform(18, 26), 1.3))
+        return parts
+
+    def _tree(self, rng: np.random.Generator, side: int, s: float, t: float, scale: float = 1.0) -> Mesh:
+        proto = self._trees[rng.integers(len(self._trees))]
+        turned = mesh.place(proto, [0, 0, 0], rng.uniform(0, 6.28), scale * rng.uniform(0.8, 1.2), rng.uniform(0, 99))
+        return self._put(turned, s, t, side)
+
+    def _pavement(self, rng: np.random.Generator, side: int, start: float, end: float) -> list[Mesh]:
+        """Put parked cars, street trees, lamp posts and small things along a block."""
+        config = self.config
+        kerb = config.kerb_m(side)
+        parts = []
+        if config.parking_m[0 if side > 0 else 1] > 0:
+            s = start + 6.0
+            while s < end - 6.0:
+                if rng.random() < config.parked_share:
+                    vehicle = self._cars[rng.integers(len(self._cars))]
+                    yaw = rng.normal(0, 0.02) + (np.pi if rng.random() < 0.06 else 0.0) + (np.pi if side > 0 else 0.0)
+                    place = [s, side * (kerb - 1.08 + rng.normal(0, 0.08)), 0.0]
+                    parts.append(mesh.place(vehicle, place, yaw, key=rng.uniform(0, 99)))
+                s += rng.uniform(5.2, 6.6)
+        edge = kerb + KERB_M + 0.35
+        if rng.random() < 0.75:
+            for s in np.arange(start + rng.uniform(1, 6), end - 2, config.tree_gap_m):
+                if rng.random() < 0.85:
+                    parts.append(self._tree(rng, side, s + rng.normal(0, 0.6), edge + 0.2, 0.85))
+        for s in np.arange(start + rng.uniform(2, 12), end, rng.uniform(24, 34)):
+            parts.append(self._put(furniture.lamp_post(rng), float(s), edge, side))
+        for make, share in ((furniture.sign, 0.02), (furniture.bollard, 0.03), (furniture.bin_, 0.025)):
+            for _ in range(rng.poisson(share * (end - start))):
+                t = edge - 0.1 if make is not furniture.bin_ else config.front_m(side) - 0.4
+                parts.append(self._put(make(rng), rng.uniform(start + 1, end - 1), t, side))
+        return parts
+
+    def _distance(self) -> list[Mesh]:
+        """Build what closes the view: houses and tree lines behind the blocks, and hills."""
+        rng = np.random.default_rng([self.config.seed, 6])
+        parts = []
+        for _ in range(150):
+            side = rng.choice([-1, 1])
+            s, t = rng.uniform(-BEHIND_M, self.config.length_m + 500), rng.uniform(60, 260)
+            if s > self.config.length_m + 60:
+                t = rng.uniform(-10, 200)
+            w, h = rng.uniform(8, 30), rng.uniform(6, 17)
+            tint = buildings.PLASTER_TINTS[rng.integers(12)] * rng.uniform(0.5, 0.9)
+            parts.append(
+                mesh.box(
+                    [s, side * t, -4], [s + w, side * t + rng.uniform(8, 20), h], Material.FAR, tint, rng.uniform(0, 99)
+                )
+            )
+        s = np.arange(-900, self.config.length_m + 810, 30.0)
+        for side in (-1, 1):
+            parts.append(_ridge(rng, s, side * 880.0))
+        t = np.arange(-900, 901, 30.0)
+        height = 14 + 10 * np.sin(t / 170 + rng.uniform(0, 6)) + 6 * np.sin(t / 61) + rng.uniform(0, 5, len(t))
+        x = self.config.length_m + 780
+        crest = np.stack([np.stack([np.full_like(t, x), t, z], axis=1) for z in (np.full_like(t, -5), height)])
+        parts.append(mesh.loft(crest, Material.FAR, [0.05, 0.07, 0.04], 9.0))
+        return parts
+
+    def _traffic(self, rng: np.random.Generator) -> list[Body]:
+        """Set cars going: one ahead in the rig's lane, the others oncoming."""
+        config, bodies = self.config, []
+        for number in range(config.traffic):
+            vehicle = cars.car(rng)
+            ahead = number == 0
+            speed = config.speed_mps * float(rng.uniform(0.9, 1.1)) if ahead else -float(rng.uniform(7, 13))
+            start = float(rng.uniform(14, 30)) if ahead else float(rng.uniform(25, 60)) + 45.0 * (number - 1)
+            lane = -0.5 * config.lane_m if config.lanes == 2 else -config.lane_m
+            t = lane + float(rng.normal(0, 0.1)) if ahead else -lane + float(rng.normal(0, 0.1))
+            bodies.append(Body(vehicle, partial(_driving, self.path, start, speed, t)))
+        return bodies
+
+
+def _driving(
+    path: Path, start_m: float, speed_mps: float, t_m: float, time_s: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Return T_world_body (n, 4, 4) of a car in its lane at times (n,)."""
+    s = start_m + speed_mps * time_s
+    return path.pose(s, np.full_like(s, t_m), np.pi if speed_mps < 0 else 0.0)
+
+
+def _ridge(rng: np.random.Generator, s: npt.NDArray[np.float64], t: float) -> Mesh:
+    height = 18 + 9 * np.sin(s / 190 + rng.uniform(0, 6)) + 5 * np.sin(s / 67) + rng.uniform(0, 4, len(s))
+    crest = np.stack([np.stack([s, np.full_like(s, t), z], axis=1) for z in (np.full_like(s, -5), height)])
+    return mesh.loft(crest, Material.FAR, [0.05, 0.07, 0.04], 8.0)
