@@ -134,12 +134,14 @@ class KittiRaw:
             "sweep": f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data",
             "truth": f"no proj_depth/groundtruth map for {self.folder.name}: name its folder with --truth",
             "sparse": f"no proj_depth/velodyne_raw map for {self.folder.name}: name its folder with --truth",
-            "sky": "KITTI has no sky masks",
+            "sky": f"no sky masks beside {self.folder.name}: KITTI has none, the embedded street has",
         }
         if id_ in self._others:
             sources["other"] = partial(read_sized, self._others[id_], camera)
         if self._sweeps and self.calibration.T_cam0_velo is not None:
             sources["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
+        if id_ in self._skies:
+            sources["sky"] = lambda: read_sized(self._skies[id_], camera) > 127
         for what, kind in (("truth", "groundtruth"), ("sparse", "velodyne_raw")):
             if id_ in self._maps[kind]:
                 sources[what] = partial(self._read_map, self._maps[kind][id_])
@@ -154,6 +156,11 @@ class KittiRaw:
             baseline_m=self.baseline_m,
             side=self.side,
         )
+
+    @cached_property
+    def _skies(self) -> dict[str, Path]:
+        """Map frame id to sky mask (255 = sky); only the embedded street has them."""
+        return stems(self.folder / "sky" / self.camera_name / "data", [".png"])
 
     @cached_property
     def _T_cam_velo(self) -> Matrix | None:
