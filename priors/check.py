@@ -241,7 +241,7 @@ def _times(frames: list[Frame]) -> Iterator[Finding]:
         gaps_s = gaps_s / np.diff(np.array(numbers))
     usual = float(np.median(gaps_s))
     if (gaps_s <= 0).any():
-        first = stamped[int(np.argmax(gaps_s <= 0)) + 1][0]
+        first = [frame.id for frame in frames if frame.time_s is not None][int(np.argmax(gaps_s <= 0)) + 1]
         yield Finding("fatal", "times", f"times do not rise at frame {first}: are the timestamps of another drive?")
         return
     long = np.count_nonzero(gaps_s > 1.5 * usual)

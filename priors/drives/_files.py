@@ -55,7 +55,7 @@ def need(values: dict[str, npt.NDArray[np.float64]], key: str, count: int, path:
     """Return values[key], or raise DataError that names file and key where it is missing, short or not finite."""
     found = values.get(key)
     if found is None:
-        raise DataError(f"{path}: calibration key {key} is missing: download the calibration again")
+        raise DataError(f"{path}: calibration key {key} is missing or no numbers: download the calibration again")
     if found.size != count or not np.isfinite(found).all():
         raise DataError(f"{path}: {key} should be {count} finite numbers, found {found.tolist()}")
     return found

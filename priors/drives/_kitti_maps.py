@@ -25,8 +25,19 @@ def given(truth: Path, drive: str, camera: str) -> dict[str, dict[str, Path]]:
 
 def beside(above: list[Path], drive: str, camera: str, size: tuple[int, int]) -> dict[str, dict[str, Path]]:
     """Map kind to {frame id: map} found in the folders above a drive; maps of another size are another drive's."""
-    roots = [*above, *(root / name for root in above for name in FOLDERS)]
-    return {kind: _first(roots, drive, camera, kind, size) for kind in ("groundtruth", "velodyne_raw")}
+    return {kind: _first(_roots(above), drive, camera, kind, size) for kind in ("groundtruth", "velodyne_raw")}
+
+
+def lacking(above: list[Path], drive: str, camera: str, kind: str) -> str:
+    """Say why no map of a kind was found beside a drive, and what to do."""
+    of_any_size = _first(_roots(above), drive, camera, kind)
+    if of_any_size:
+        return f"{next(iter(of_any_size.values())).parent}: these maps are for another image size: make them anew"
+    return f"no proj_depth/{kind}/{camera} maps of {drive} found beside: name their folder with --truth"
+
+
+def _roots(above: list[Path]) -> list[Path]:
+    return [*above, *(root / name for root in above for name in FOLDERS)]
 
 
 def _first(

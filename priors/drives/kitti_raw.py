@@ -132,8 +132,7 @@ class KittiRaw:
         missing = {
             "other": f"no image {PARTNER[self.camera_name]}/data/{id_} in {self.folder}: stereo needs both cameras",
             "sweep": f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data",
-            "truth": f"no proj_depth/groundtruth map for {self.folder.name}: name its folder with --truth",
-            "sparse": f"no proj_depth/velodyne_raw map for {self.folder.name}: name its folder with --truth",
+            **self._lacking_maps,
             "sky": f"no sky masks beside {self.folder.name}: KITTI has none, the embedded street has",
         }
         if id_ in self._others:
@@ -190,9 +189,22 @@ class KittiRaw:
         """Find the drive's depth maps by kind and frame id."""
         if self._truth_option is not None:
             return _kitti_maps.given(Path(self._truth_option), self.folder.name, self.camera_name)
-        date = self.folder.absolute().parent
-        above = [date, date.parent, date.parent.parent]
-        return _kitti_maps.beside(above, self.folder.name, self.camera_name, self.calibration.camera.size)
+        return _kitti_maps.beside(self._above, self.folder.name, self.camera_name, self.calibration.camera.size)
+
+    @cached_property
+    def _lacking_maps(self) -> dict[str, str]:
+        """Say why there is no map, by what the frame would read it as."""
+        reasons = {}
+        for what, kind in (("truth", "groundtruth"), ("sparse", "velodyne_raw")):
+            if self._maps[kind]:
+                reasons[what] = f"{next(iter(self._maps[kind].values())).parent}: no map of this frame"
+            else:
+                reasons[what] = _kitti_maps.lacking(self._above, self.folder.name, self.camera_name, kind)
+        return reasons
+
+    @property
+    def _above(self) -> list[Path]:
+        return list(self.folder.absolute().parents)[:3]
 
     def _pose(self, id_: str) -> Matrix | None:
         """T_world_cam at a frame; None where the drive has no oxts for it."""

@@ -1,0 +1,54 @@
+"""What the tests share: the real data beside the checkout, and tiny drives written into a temporary folder."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from factories import write_argoverse_stereo, write_argoverse_tracking, write_folder, write_odometry, write_raw
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+DATA = SHARED / "data"
+
+
+def real(*parts: str) -> Path:
+    """A folder of the real data, or skip with the reason."""
+    path = DATA.joinpath(*parts)
+    if not path.exists():
+        pytest.skip(f"no real data: {path} is missing")
+    return path
+
+
+@pytest.fixture
+def real_data() -> Callable[..., Path]:
+    """real_data("kitti_raw") -> its folder; skips where it is missing."""
+    return real
+
+
+@pytest.fixture
+def raw_drive(tmp_path: Path) -> Path:
+    """A tiny KITTI raw drive (factories.write_raw): its folder."""
+    return write_raw(tmp_path / "raw")
+
+
+@pytest.fixture
+def odometry_root(tmp_path: Path) -> Path:
+    """A tiny KITTI odometry root with sequence 06, complete (factories.write_odometry)."""
+    return write_odometry(tmp_path / "odometry")
+
+
+@pytest.fixture
+def tracking_log(tmp_path: Path) -> Path:
+    """A tiny Argoverse 1 tracking log (factories.write_argoverse_tracking): its folder."""
+    return write_argoverse_tracking(tmp_path / "argoverse-tracking" / "train1" / "log-a")
+
+
+@pytest.fixture
+def stereo_log(tmp_path: Path) -> Path:
+    """A tiny log of Argoverse 1's rectified stereo release with disparity maps: its folder."""
+    return write_argoverse_stereo(tmp_path, "train", "log-a")
+
+
+@pytest.fixture
+def image_folder(tmp_path: Path) -> Path:
+    """A tiny folder of images with calib.json (factories.write_folder)."""
+    return write_folder(tmp_path / "mine")
