@@ -2,15 +2,19 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
 from priors import drives
+from priors.cache import Prior
 from priors.drives import DriveOptions
 from priors.types import Drive
 
-DatasetName = Literal["auto", *drives.names()]  # type: ignore[valid-type]
+if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
+    DatasetName = str
+else:
+    DatasetName = Literal["auto", *drives.names()]
 Parsed = TypeVar("Parsed")
 
 
@@ -27,6 +31,11 @@ class DriveArguments:
     def open(self) -> Drive:
         """Open the drive."""
         return drives.open_drive(self.data, self.dataset, self.part)
+
+
+def drive_key(prior: Prior) -> tuple[str, ...]:
+    """Return what tells apart the drives that priors were made for."""
+    return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
 
 
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import tyro
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cli.arguments import DriveArguments, parse
@@ -82,7 +83,7 @@ def _print_summary(report: build.Report) -> None:
     """Print one row: counts, time a frame, density and range."""
     import numpy as np
 
-    table = Table(title=str(report.prior.folder), title_justify="left")
+    table = Table(title=str(report.prior.folder), title_justify="left", box=SIMPLE_HEAD)
     for heading in ("built", "cached", "skipped", "failed", "s/frame", "density", "min m", "median m", "max m"):
         table.add_column(heading, justify="right")
     cached = sum(reason == "cached" for reason in report.plan.skipped.values())

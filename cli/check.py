@@ -8,8 +8,8 @@ from cli.arguments import DriveArguments, parse
 from cli.console import DATA_ERROR, out
 from priors.check import check
 
-EXAMPLES = """Audit a drive: calibration, missing scans, frame joins, stereo sign and vertical offset, pose continuity, LiDAR-camera
-agreement. One line a finding; exits 1 where one is fatal.
+EXAMPLES = """Audit a drive: calibration, missing scans, frame joins, stereo sign and vertical offset, pose continuity,
+LiDAR-camera agreement. One line a finding; exits 1 where one is fatal.
 
 examples:
   priors check street/
@@ -27,6 +27,6 @@ def run(arguments: list[str]) -> int:
         out.print(
             Text.assemble((f"{finding.level:<8}", STYLES[finding.level]), f"{finding.subject}: {finding.message}")
         )
-    counts = Counter(finding.level for finding in findings)
+    counts: Counter[str] = Counter(finding.level for finding in findings)
     out.print(", ".join(f"{counts[level]} {level}" for level in STYLES if counts[level]))
     return DATA_ERROR if counts["fatal"] else 0

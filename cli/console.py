@@ -11,9 +11,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from eval.protocol import ScoreError
 from priors.errors import DataError
 
+PIPE_WIDTH = 160
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 
-out = Console(highlight=False, soft_wrap=not sys.stdout.isatty())
+out = Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
 
 

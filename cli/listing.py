@@ -6,6 +6,7 @@ from typing import Annotated
 
 import numpy as np
 import tyro
+from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cli.arguments import parse
@@ -34,7 +35,7 @@ def run(arguments: list[str]) -> int:
     """List; returns the exit code: 1 where a frame is half written."""
     args = parse(ListArguments, "list", EXAMPLES, arguments)
     priors = cache.find(args.path)
-    table = Table()
+    table = Table(box=SIMPLE_HEAD)
     for heading in ("drive", "prior", "folder"):
         table.add_column(heading, overflow="fold")
     for heading in ("frames", "density", "s/frame", "MiB"):

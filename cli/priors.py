@@ -49,4 +49,10 @@ def run(arguments: list[str]) -> int:
 
 def _overview() -> str:
     rows = "\n".join(f"  {name:<8}{what}" for name, what in COMMANDS.items())
-    return f"priors: depth priors for street drives\n\ncommands\n{rows}\n\nexamples\n{EXAMPLES}\n\npriors COMMAND --help tells the rest"
+    parts = (
+        "priors: depth priors for street drives",
+        f"commands\n{rows}",
+        f"examples\n{EXAMPLES}",
+        "priors COMMAND --help tells the rest",
+    )
+    return "\n\n".join(parts)

@@ -6,22 +6,26 @@ from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 import tyro
 
-from cli.arguments import parse
+from cli.arguments import drive_key, parse
 from cli.console import out, progress
-from eval import curves, table
+from eval import table
+from eval.curves import Metric, Samples, collect, curves
 from eval.protocol import PRESETS, Protocol, preset
 from eval.result import Result, Scored, score
-from priors import cache, picture
+from priors import cache, codecs
 from priors.build import select
 from priors.cache import Prior
 from priors.drives import reopen
 from priors.errors import DataError
 from priors.labels import labels
-from priors.types import Drive, FloatMap
+from priors.plot import Line, plot
+from priors.types import Drive, Image
 
-EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior; writes metrics.json beside the maps.
+EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior.
+metrics.json is written beside the maps.
 
 examples:
   priors eval cache/
@@ -64,17 +68,23 @@ def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ScoreArguments, "eval", EXAMPLES, arguments)
     files = [path for path in args.caches if path.suffix == ".json"]
-    priors = [prior for path in args.caches if path not in files for prior in cache.find(path)]
-    groups = [[Result.load(path) for path in files]] if files else []
-    for _, together in groupby(sorted(priors, key=_drive_of), key=_drive_of):
-        groups.append(_score_drive(list(together), args))
-    for results in groups:
-        _report(results, args, several=len(groups) > 1)
+    priors = [prior for path in args.caches if path not in files for prior in _with_maps(path)]
+    drives = [list(together) for _, together in groupby(sorted(priors, key=drive_key), key=drive_key)]
+    several = len(drives) + bool(files) > 1
+    if files:
+        _report([Result.load(path) for path in files], args, several)
+    for together in drives:
+        _report(_score_drive(together, args, several), args, several)
     return 0
 
 
-def _drive_of(prior: Prior) -> tuple[str, ...]:
-    return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
+def _with_maps(path: Path) -> list[Prior]:
+    """Return the priors at path that have maps; those that have none yet are named and left out."""
+    priors = cache.find(path)
+    for prior in priors:
+        if not prior.ids():
+            out.print(f"{prior.folder}: no maps yet: left out")
+    return [prior for prior in priors if prior.ids()]
 
 
 def _protocol(args: ScoreArguments) -> Protocol:
@@ -87,13 +97,13 @@ def _protocol(args: ScoreArguments) -> Protocol:
     return replace(protocol, **{name: value for name, value in changes.items() if value is not None})  # type: ignore[arg-type]
 
 
-def _score_drive(priors: list[Prior], args: ScoreArguments) -> list[Result]:
+def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> list[Result]:
     """Score the priors of one drive."""
     truth = {} if args.truth is None else {"truth": str(args.truth)}
     drive = reopen({**priors[0].drive, **truth})
     reference = None if args.against is None else _only(args.against)
     protocol = _protocol(args)
-    results = []
+    results, drawn = [], []
     for prior, name in zip(priors, labels(priors), strict=True):
         ids = _scored_ids(prior, drive, reference, args.frames)
         fx_baseline = _fx_baseline(drive)
@@ -101,10 +111,14 @@ def _score_drive(priors: list[Prior], args: ScoreArguments) -> list[Result]:
         with progress(name, len(ids)) as step:
             result = score(_pairs(prior, drive, reference, ids, step), protocol, fx_baseline, info)
         result.save(prior.folder / "metrics.json")
-        if args.curves is not None and (prior.folder / "confidence").is_dir():
-            samples = curves.collect((scored[1:] for scored in _pairs(prior, drive, reference, ids)), protocol)
-            _draw(samples, name, args.curves, fx_baseline)
         results.append(result)
+        if args.curves is not None and (prior.folder / "confidence").is_dir():
+            samples = collect((scored[1:] for scored in _pairs(prior, drive, reference, ids)), protocol)
+            drawn.append(sparsification(name, samples, fx_baseline))
+    if drawn and args.curves is not None:
+        path = args.curves.with_name(f"{args.curves.stem}-{drive.name}{args.curves.suffix}") if several else args.curves
+        codecs.write_image(path, np.concatenate(drawn))
+        out.print(f"wrote {path}")
     return results
 
 
@@ -147,6 +161,32 @@ def _only(path: Path) -> Prior:
     if len(found) > 1:
         raise DataError(f"{path}: holds {len(found)} priors: name one, for example {found[0].folder}")
     return found[0]
+
+
+def sparsification(name: str, samples: Samples, fx_baseline: float | None) -> Image:
+    """Draw how a prior's errors fall as the least confident pixels are dropped, one plot a metric."""
+    metrics: tuple[Metric, ...] = ("abs_rel", "rmse") if fx_baseline is None else ("abs_rel", "rmse", "d1")
+    plots = []
+    for metric in metrics:
+        made = curves(samples, metric, fx_baseline)
+        lines = [
+            Line("by confidence", made.kept, made.by_confidence),
+            Line("farthest first", made.kept, made.farthest_first),
+            Line("oracle", made.kept, made.oracle, dashed=True),
+        ]
+        column = table.COLUMNS[metric]
+        plots.append(plot(lines, "share of the pixels kept", f"{column.label} {column.unit}".strip(), name))
+    return np.concatenate(plots, axis=1)
+
+
+def _print_ranges(results: Sequence[Result]) -> None:
+    """Print AbsRel and RMSE of each range of true distance."""
+    for result in results:
+        parts = [
+            f"{low:g}-{high:g} m {figures['abs_rel']:.4f} {figures['rmse']:.3f} m"
+            for (low, high), figures in result.by_range()
+        ]
+        out.print(f"{result.name}: AbsRel, RMSE by range: {'; '.join(parts)}")
 
 
 def _report(results: Sequence[Result], args: ScoreArguments, several: bool) -> None:

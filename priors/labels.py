@@ -1,8 +1,10 @@
 """What to call priors in tables and pictures: the method and what is not usual about it."""
 
+import json
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
+from functools import partial
 from typing import Any
 
 from priors import methods
@@ -10,22 +12,39 @@ from priors.cache import Prior
 
 
 def labels(priors: Sequence[Prior]) -> list[str]:
-    """Name priors shortly, each differently: method, changed settings, filters, and the key where those are alike."""
+    """Name priors shortly, each differently: what was decided for the drive, and the key, only where it is needed."""
     names = [label(prior) for prior in priors]
-    often = Counter(names)
-    return [
-        name if often[name] == 1 else f"{name} [{prior.manifest['key'][:6]}]"
-        for name, prior in zip(names, priors, strict=True)
-    ]
+    for longer in (partial(label, decided=True), _with_key):
+        often = Counter(names)
+        names = [name if often[name] == 1 else longer(prior) for name, prior in zip(names, priors, strict=True)]
+    return names
 
 
-def label(prior: Prior) -> str:
-    """Name one prior: 'stereo', 'lidar sweeps=1', 'stereo + Clip 80'."""
+def label(prior: Prior, decided: bool = False) -> str:
+    """Name one prior: 'stereo', 'lidar sweeps=1', 'stereo + Clip 80'.
+
+    Settings that are unset by default and were decided for the drive are named where `decided` is True.
+    """
     usual = _defaults(prior.method)
     config: dict[str, Any] = prior.manifest.get("config", {})
-    settings = [f"{name}={value}" for name, value in config.items() if usual.get(name, value) not in (value, "auto")]
+    plain = (None, "auto")
+    settings = [
+        f"{name}={_short(value)}"
+        for name, value in config.items()
+        if usual.get(name, value) != value and (decided or usual[name] not in plain)
+    ]
     filters = [_words(name, values) for name, values in prior.manifest.get("filters", {}).items()]
     return " + ".join([" ".join([prior.method, *settings]), *filters])
+
+
+def _with_key(prior: Prior) -> str:
+    return f"{label(prior)} [{prior.manifest['key'][:6]}]"
+
+
+def _short(value: Any) -> str:
+    if isinstance(value, list | tuple):
+        return ",".join(map(_short, value))
+    return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
 def _words(name: str, values: dict[str, Any]) -> str:
@@ -37,5 +56,5 @@ def _defaults(method: str) -> dict[str, Any]:
     """Return a method's usual settings; none for a method this version does not know."""
     if method not in methods.names():
         return {}
-    defaults: dict[str, Any] = asdict(methods.config_type(method)())
-    return defaults
+    defaults: dict[str, Any] = json.loads(json.dumps(asdict(methods.config_type(method)())))
+    return defaults  # as JSON has it, like the manifest: a tuple is a list

@@ -1,0 +1,90 @@
+"""`priors show`: pictures of cached maps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from cli.arguments import drive_key, parse
+from cli.console import out, progress
+from priors import cache, codecs, picture
+from priors.build import select
+from priors.cache import Prior
+from priors.drives import reopen
+from priors.errors import DataError
+from priors.labels import labels
+from priors.picture import Tile
+from priors.types import Depth, Frame, Image
+
+EXAMPLES = """Write pictures: image and truth on top, then a row a prior - depth, error against the truth, confidence.
+
+examples:
+  priors show cache/ --frames 5:8
+  priors show cache/DRIVE/stereo-KEY --out pictures --every 10
+"""
+
+
+@dataclass(frozen=True)
+class ShowArguments:
+    """Arguments of `priors show`."""
+
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    """Caches, or drives' or priors' folders."""
+    out: Path = Path("pictures")
+    """Folder for the pictures: <out>/<drive>/<frame>.jpg."""
+    frames: str | None = None
+    """Only this range of frames, a:b."""
+    every: int = 1
+    """Only every n-th of them."""
+    truth: Path | None = None
+    """Folder with KITTI depth maps, where the build was not told."""
+    width: int = 620
+    """Width of one tile, pixels."""
+
+
+def run(arguments: list[str]) -> int:
+    """Write the pictures; returns the exit code."""
+    args = parse(ShowArguments, "show", EXAMPLES, arguments)
+    priors = [prior for path in args.caches for prior in cache.find(path)]
+    for _, together in groupby(sorted(priors, key=drive_key), key=drive_key):
+        _show_drive(list(together), args)
+    return 0
+
+
+def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
+    truth = {} if args.truth is None else {"truth": str(args.truth)}
+    drive = reopen({**priors[0].drive, **truth})
+    cached = {id_ for prior in priors for id_ in prior.ids()}
+    chosen = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
+    if not chosen:
+        raise DataError(f"{priors[0].folder.parent}: no maps of these frames: build them first")
+    names = labels(priors)
+    folder = args.out / drive.name
+    with progress("show", len(chosen)) as step:
+        for index in chosen:
+            frame = drive[index]
+            rows = [
+                (name, prior.read(frame.id)) for name, prior in zip(names, priors, strict=True) if prior.has(frame.id)
+            ]
+            codecs.write_image(folder / f"{frame.id}.jpg", compare(frame, rows, args.width))
+            step()
+    out.print(f"wrote {len(chosen)} pictures to {folder}")
+
+
+def compare(frame: Frame, rows: Sequence[tuple[str, Depth]], width: int) -> Image:
+    """Lay out one frame: image and truth, then depth, error and confidence of each prior."""
+    image = picture.as_rgb(frame.image())
+    truth = frame.truth() if frame.has("truth") else None
+    dark = Tile(image * 0, "")
+    tiles = [Tile(image, f"frame {frame.id}"), dark, dark]
+    if truth is not None:
+        tiles[1] = picture.depth_tile(truth, "truth")
+    for name, depth in rows:
+        tiles.append(picture.depth_tile(depth, name))
+        tiles.append(dark if truth is None else picture.error_tile(depth, truth))
+        tiles.append(dark if depth.confidence is None else picture.confidence_tile(depth))
+    used = 3 if any(depth.confidence is not None for _, depth in rows) else 2
+    return picture.panel([tile for i, tile in enumerate(tiles) if i % 3 < used], used, width)

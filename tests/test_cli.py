@@ -1,0 +1,304 @@
+"""The installed commands, run as a user runs them, on a small street."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+PRIORS = Path(sys.executable).parent / "priors"
+FRAMES = 6
+
+
+def priors(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [str(PRIORS), *map(str, arguments)]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300)
+
+
+def succeed(*arguments: object, cwd: Path) -> str:
+    done = priors(*arguments, cwd=cwd)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def fail(*arguments: object, cwd: Path, code: int = 1) -> str:
+    """Run what must fail; returns the error, which is one line without a traceback."""
+    done = priors(*arguments, cwd=cwd)
+    assert done.returncode == code, done.stdout + done.stderr
+    assert "Traceback" not in done.stderr
+    errors = [line for line in done.stderr.splitlines() if line.startswith("error:")]
+    assert len(errors) <= 1
+    return errors[0] if errors else done.stderr
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("street")
+    succeed("street", folder / "street", "--frames", FRAMES, "--seed", 7, "--size", "320x96", cwd=folder)
+    return folder / "street"
+
+
+@pytest.fixture(scope="module")
+def built(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder whose cache/ holds all three priors."""
+    folder = tmp_path_factory.mktemp("built")
+    for method in ("lidar", "completion", "stereo"):
+        succeed("build", street, "--method", method, cwd=folder)
+    return folder
+
+
+@pytest.fixture
+def copy(street: Path, tmp_path: Path) -> Path:
+    """A street of one's own, to be damaged."""
+    shutil.copytree(street, tmp_path / "street")
+    return tmp_path / "street"
+
+
+def drive_folder(street: Path) -> Path:
+    return next(street.glob("*/*_sync"))
+
+
+def stamps(folder: Path) -> dict[str, int]:
+    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("depth/*.png")}
+
+
+def test_all_methods_are_built_and_scored_in_one_table(built: Path) -> None:
+    text = succeed("eval", "cache", "--save", "table.md", "--save", "table.csv", "--ranges", cwd=built)
+    for method in ("lidar", "completion", "stereo"):
+        assert re.search(rf"^{method}\b", text, re.MULTILINE)
+    assert (built / "table.md").read_text().count("**") > 4, "the best is bold"
+    assert len((built / "table.csv").read_text().splitlines()) == 1 + 2 * 3
+    for path in (built / "cache").glob("*/*/metrics.json"):
+        result = json.loads(path.read_text())
+        assert len(result["frames"]) == FRAMES
+        assert 0 < result["metrics"]["image"]["abs_rel"] < 0.3
+
+
+def test_a_second_build_computes_nothing(built: Path, street: Path) -> None:
+    before = stamps(built / "cache")
+    assert len(before) == 3 * FRAMES
+    plan = succeed("build", street, "--method", "stereo", "--dry-run", cwd=built)
+    assert f"0 to compute, {FRAMES} skipped" in plan
+    succeed("build", street, "--method", "stereo", cwd=built)
+    assert stamps(built / "cache") == before
+
+
+def test_a_changed_flag_makes_another_folder(built: Path, street: Path) -> None:
+    before = stamps(built / "cache")
+    plan = succeed("build", street, "--method", "stereo", "--clip", 40, "--dry-run", cwd=built)
+    assert f"{FRAMES} to compute" in plan
+    succeed("build", street, "--method", "stereo", "--clip", 40, "--cache", "clipped", cwd=built)
+    assert stamps(built / "cache") == before
+    depth = next((built / "clipped").rglob("depth/*.png"))
+    assert cv2.imread(str(depth), cv2.IMREAD_UNCHANGED).max() <= 40 * 256
+
+
+def test_results_of_two_protocols_do_not_mix(built: Path) -> None:
+    first, second = sorted((built / "cache").glob("*/*"))[:2]
+    succeed("eval", first, "--protocol", "paper", cwd=built)
+    succeed("eval", second, "--protocol", "garg", cwd=built)
+    error = fail("eval", first / "metrics.json", second / "metrics.json", cwd=built)
+    assert "different protocols" in error
+
+
+def test_a_prior_is_scored_against_another(built: Path) -> None:
+    lidar, stereo = (next((built / "cache").glob(f"*/{method}-*")) for method in ("lidar", "stereo"))
+    assert "stereo" in succeed("eval", stereo, "--against", lidar, cwd=built)
+    itself = succeed("eval", lidar, "--against", lidar, "--metrics", "abs_rel", cwd=built)
+    assert "0.0000" in itself
+
+
+def test_pictures_are_written(built: Path) -> None:
+    succeed("show", "cache", "--frames", "1:3", cwd=built)
+    pictures = sorted((built / "pictures").rglob("*.jpg"))
+    assert len(pictures) == 2
+    assert cv2.imread(str(pictures[0])).shape[1] > 600
+    succeed("eval", "cache", "--curves", "curves.png", cwd=built)
+    assert cv2.imread(str(built / "curves.png")).std() > 5
+
+
+def test_list_names_every_prior_and_what_is_half_written(built: Path, tmp_path: Path) -> None:
+    assert succeed("list", cwd=built).count(f" {FRAMES} ") >= 3
+    shutil.copytree(built / "cache", tmp_path / "cache")
+    next((tmp_path / "cache").glob("*/stereo-*/confidence/*.png")).write_bytes(b"")
+    done = priors("list", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "half written" in done.stderr
+
+
+def test_check_finds_the_street_sound(street: Path, tmp_path: Path) -> None:
+    text = succeed("check", street, cwd=tmp_path)
+    assert "fatal" not in text
+    assert len(text.splitlines()) >= 5
+
+
+@pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
+def test_a_killed_build_resumes(street: Path, built: Path, tmp_path: Path, kill: signal.Signals) -> None:
+    command = [str(PRIORS), "build", str(street), "--method", "stereo", "--workers", "1"]
+    running = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while len(stamps(tmp_path)) < 2 and time.monotonic() < deadline and running.poll() is None:
+        time.sleep(0.002)
+    running.send_signal(kill)
+    running.communicate(timeout=60)
+    finished = stamps(tmp_path)
+    assert finished
+    if kill == signal.SIGINT and len(finished) < FRAMES:
+        assert running.returncode == 130
+    succeed("build", street, "--method", "stereo", cwd=tmp_path)
+    after = stamps(tmp_path)
+    assert len(after) == FRAMES
+    assert {path: after[path] for path in finished} == finished, "what was done is not done again"
+    for path in after:
+        whole = built / Path(path).relative_to(tmp_path)
+        np.testing.assert_array_equal(cv2.imread(path, -1), cv2.imread(str(whole), -1))
+
+
+def test_shards_make_what_one_build_makes(street: Path, built: Path, tmp_path: Path) -> None:
+    for part in (1, 2):
+        succeed("build", street, "--method", "lidar", "--shard", f"{part}/2", "--workers", 3, cwd=tmp_path)
+    for path in stamps(tmp_path):
+        whole = built / Path(path).relative_to(tmp_path)
+        np.testing.assert_array_equal(cv2.imread(path, -1), cv2.imread(str(whole), -1))
+
+
+def damage_image(drive: Path) -> Path:
+    path = sorted((drive / "image_02" / "data").iterdir())[2]
+    path.write_bytes(path.read_bytes()[:500])
+    return path
+
+
+def damage_sweep(drive: Path) -> Path:
+    path = sorted((drive / "velodyne_points" / "data").iterdir())[2]
+    path.write_bytes(path.read_bytes()[:-7])
+    return path
+
+
+def empty_sweep(drive: Path) -> Path:
+    path = sorted((drive / "velodyne_points" / "data").iterdir())[2]
+    path.write_bytes(b"")
+    return path
+
+
+def nan_pose(drive: Path) -> Path:
+    path = sorted((drive / "oxts" / "data").iterdir())[2]
+    path.write_text(path.read_text().replace(path.read_text().split()[0], "nan", 1))
+    return path
+
+
+def resized_image(drive: Path) -> Path:
+    path = sorted((drive / "image_02" / "data").iterdir())[2]
+    cv2.imwrite(str(path), np.zeros((50, 60, 3), np.uint8))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("damage", "method"),
+    [
+        (damage_image, "stereo"),
+        (resized_image, "stereo"),
+        (damage_sweep, "lidar"),
+        (empty_sweep, "lidar"),
+        (nan_pose, "lidar"),
+    ],
+)
+def test_a_bad_frame_is_named_and_the_others_are_built(copy: Path, tmp_path: Path, damage: object, method: str) -> None:
+    path = damage(drive_folder(copy))  # type: ignore[operator]
+    done = priors("build", copy, "--method", method, cwd=tmp_path)
+    assert done.returncode == 1
+    assert path.name in done.stderr
+    assert "Traceback" not in done.stderr
+    assert len(stamps(tmp_path)) == FRAMES - 1
+
+
+def drop_key(drive: Path) -> str:
+    path = drive.parent / "calib_cam_to_cam.txt"
+    path.write_text(re.sub("P_rect_02:.*\n", "", path.read_text()))
+    return "P_rect_02"
+
+
+def drop_calibration(drive: Path) -> str:
+    (drive.parent / "calib_cam_to_cam.txt").unlink()
+    return "calib_cam_to_cam.txt"
+
+
+def swap_baseline(drive: Path) -> str:
+    path = drive.parent / "calib_cam_to_cam.txt"
+    text = path.read_text()
+    path.write_text(
+        text.replace("P_rect_02", "P_rect_xx").replace("P_rect_03", "P_rect_02").replace("P_rect_xx", "P_rect_03")
+    )
+    return "baseline"
+
+
+def drop_images(drive: Path) -> str:
+    shutil.rmtree(drive / "image_02" / "data")
+    (drive / "image_02" / "data").mkdir()
+    return "image_02"
+
+
+@pytest.mark.parametrize("damage", [drop_key, drop_calibration, swap_baseline, drop_images])
+def test_a_bad_drive_is_one_line(copy: Path, tmp_path: Path, damage: object) -> None:
+    expected = damage(drive_folder(copy))  # type: ignore[operator]
+    assert expected in fail("build", copy, "--method", "stereo", cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("folder", "method", "expected"),
+    [("image_03", "stereo", "image_03"), ("velodyne_points", "lidar", "velodyne")],
+)
+def test_an_input_that_no_frame_has_is_an_error(
+    copy: Path, tmp_path: Path, folder: str, method: str, expected: str
+) -> None:
+    shutil.rmtree(drive_folder(copy) / folder)
+    assert expected in fail("build", copy, "--method", method, cwd=tmp_path)
+
+
+def test_a_missing_folder_is_one_line(tmp_path: Path) -> None:
+    assert "no such folder" in fail("build", "nowhere", "--method", "stereo", cwd=tmp_path)
+    assert "priors build" in fail("eval", "nowhere", cwd=tmp_path)
+
+
+def test_a_cache_of_another_version_is_refused_and_kept(built: Path, street: Path, tmp_path: Path) -> None:
+    shutil.copytree(built / "cache", tmp_path / "cache")
+    manifest = next((tmp_path / "cache").glob("*/stereo-*/manifest.json"))
+    manifest.write_text(manifest.read_text().replace('"format": 1', '"format": 99'))
+    maps = stamps(manifest.parent)
+    assert "format 99" in fail("eval", "cache", cwd=tmp_path)
+    next(manifest.parent.glob("depth/*.png")).unlink()
+    assert "format 99" in fail("build", street, "--method", "stereo", cwd=tmp_path)
+    assert len(stamps(manifest.parent)) == len(maps) - 1
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root writes anywhere")
+def test_a_folder_that_cannot_be_written_is_one_line(street: Path, tmp_path: Path) -> None:
+    tmp_path.chmod(0o500)
+    assert "cache" in fail("build", street, "--method", "stereo", cwd=tmp_path)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["nonsense"],
+        ["build"],
+        ["build", ".", "--method", "magic"],
+        ["build", ".", "--method", "stereo", "--no-such-flag"],
+        ["eval", "--protocol", "magic"],
+    ],
+)
+def test_usage_errors_exit_2(tmp_path: Path, arguments: list[str]) -> None:
+    assert priors(*arguments, cwd=tmp_path).returncode == 2
+
+
+@pytest.mark.parametrize("command", ["build", "eval", "show", "list", "check", "street"])
+def test_every_command_has_help_made_of_examples(tmp_path: Path, command: str) -> None:
+    assert f"priors {command} " in succeed(command, "--help", cwd=tmp_path)
+    assert command in succeed("--help", cwd=tmp_path)
