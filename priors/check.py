@@ -21,7 +21,7 @@ JUMP, JUMP_M = 3.0, 0.5  # times the speed around, and at least this much farthe
 STILL_M = 0.02
 FASTEST_M_S = 70.0
 OFF_ROW_PX, BAD_ROW_PX = 0.5, 2.0  # vertical offset of the pair
-LIDAR_PX, LIDAR_BAD = 2.0, 0.2  # disparity, share of the depth
+LIDAR_PX, LIDAR_OFF, LIDAR_BAD = 2.0, 0.1, 0.2  # disparity, share of the depth, share that is fatal
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,7 @@ def _joins(drive: Drive) -> Iterator[Finding]:
     for what, ids in drive.scans().items():
         lacking = sorted(set(drive.ids) - set(ids))
         if ids and lacking:
-            yield Finding(
-                "warning", "frames", f"{len(lacking)} frames have no {what}: {_some(lacking)}: left out there"
-            )
+            yield Finding("warning", "frames", f"{len(lacking)} frames have no {what}: {_some(lacking)}")
 
 
 def _gaps(ids: Sequence[str]) -> list[str]:
@@ -268,7 +266,7 @@ def _lidar(frames: list[Frame]) -> Iterator[Finding]:
     text = f"median deviation from stereo {off:.1%} of the depth, {off_px:.2f} px of disparity ({len(pairs)} points)"
     if off > LIDAR_BAD:
         yield Finding("fatal", "lidar", f"{text}: calibration or joins are wrong")
-    elif off_px > LIDAR_PX:
+    elif off_px > LIDAR_PX or off > LIDAR_OFF:
         yield Finding("warning", "lidar", f"{text}: calibration, times or baseline are doubtful")
     else:
         yield Finding("ok", "lidar", text)

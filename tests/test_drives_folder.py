@@ -59,10 +59,9 @@ def test_depth_encodings(image_folder: Path, suffix: str) -> None:
     assert found[0, 0] == 0 and (found.ravel()[1:] == 33.25).all()
 
 
-@given(st.lists(st.tuples(st.booleans(), st.booleans(), st.booleans()), min_size=1, max_size=5))
-def test_files_are_joined_by_stem(
-    tmp_path_factory: pytest.TempPathFactory, kept: list[tuple[bool, bool, bool]]
-) -> None:
+@settings(max_examples=25, deadline=None)
+@given(kept=st.lists(st.tuples(st.booleans(), st.booleans(), st.booleans()), min_size=1, max_size=5))
+def test_files_are_joined_by_stem(tmp_path_factory: pytest.TempPathFactory, kept: list[tuple[bool, ...]]) -> None:
     ids = [f"{n:03d}" for n in range(len(kept))]
     root = write_folder(tmp_path_factory.mktemp("own"), ids)
     (root / "poses.txt").unlink()

@@ -17,6 +17,8 @@ from typing import Any
 from priors.errors import DataError
 from priors.types import Drive
 
+LISTED = 1000  # entries of an unknown folder that its error message looks at
+
 
 @dataclass(frozen=True)
 class DriveOptions:
@@ -82,10 +84,10 @@ def _recognise(path: Path) -> str:
 def _contents(path: Path) -> str:
     """Say in a few words what a folder holds."""
     with os.scandir(path) as entries:
-        some = list(islice(entries, 1000))
+        some = list(islice(entries, LISTED))
     folders = sorted(entry.name for entry in some if entry.is_dir())
     files = Counter(Path(entry.name).suffix or "no suffix" for entry in some if not entry.is_dir())
     shown = ", ".join(folders[:4]) + (", ..." if len(folders) > 4 else "")
     words = [f"folders {shown}"] if folders else []
     words += [f"{count} {suffix} files" for suffix, count in files.most_common(3)]
-    return "; ".join(words) or "nothing"
+    return ("; ".join(words) or "nothing") + (" and more" if len(some) == LISTED else "")
