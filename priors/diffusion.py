@@ -8,7 +8,9 @@ from priors.types import FloatMap, Image
 ROUNDS = 2
 STRENGTH = 30.0  # a value reaches about sqrt(30) pixels over even ground
 EDGE_GREY, EDGE_PX = 8.0, 1.0  # steps that weaken the tie of two neighbours to 1/e
-SLOPE_PX_ROW, SLOPE_PX_COLUMN = 0.6, 0.25  # disparity steps that are no edge: roads slant from row to row
+SLOPE_PX = 1.0  # a disparity step that is no edge: roads slant from row to row
+STEP_PX, WIDEST, MARGIN_PX = 1.5, 1.5, 3.0  # an occlusion: a larger step, and a hole not much wider than the step
+OCCLUDED = 0.05  # evidence of the background next to an occlusion
 VOID = 1e-12  # evidence everywhere for the background: decides where no match is near
 BACKGROUND_QUANTILE = 0.05
 
@@ -17,25 +19,26 @@ def diffuse(disparity_px: FloatMap, grey: Image) -> tuple[FloatMap, FloatMap]:
     """Spread matched disparities (height, width), 0 = none, over the image (height, width) uint8.
 
     Fast global smoothing (Min et al., "Fast Global Image Smoothing Based on Weighted Least Squares", 2014) of the
-    values and of their presence; the quotient of the two has a value everywhere. An occlusion lies between the
-    foreground's outline, which stops the diffusion, and the background, which fills it. Far from any match
-    (some 150 px) the value becomes that of the background.
+    values and of their presence; the quotient of the two has a value everywhere. An occlusion takes the value on its
+    background side, with little evidence; far from any match (some 150 px) the value becomes the scene's background.
 
     Returns:
         disparity_px (height, width), above 0 everywhere unless the input has no value at all, and the evidence
         (height, width) in [0, 1]: the share of matches in what was averaged.
     """
     from priors.kernels.diffusion import diffuse_columns, link_columns
+    from priors.kernels.occlusion import fill_occlusions
 
     matched = disparity_px > 0
     if not matched.any():
         return np.zeros_like(disparity_px), np.zeros_like(disparity_px)
     background_px = float(np.quantile(disparity_px[matched][::7], BACKGROUND_QUANTILE))
-    links = link_columns(grey, disparity_px, SLOPE_PX_ROW, EDGE_GREY, EDGE_PX)
+    links = link_columns(grey, disparity_px, SLOPE_PX, EDGE_GREY, EDGE_PX)
     grey_T = np.ascontiguousarray(grey.T)
-    links_T = link_columns(grey_T, _transpose(disparity_px), SLOPE_PX_COLUMN, EDGE_GREY, EDGE_PX)
-    evidence = matched.astype(np.float32) + np.float32(VOID)
-    total_px = disparity_px + np.float32(VOID * background_px)
+    links_T = link_columns(grey_T, _transpose(disparity_px), SLOPE_PX, EDGE_GREY, EDGE_PX)
+    filled_px, evidence = fill_occlusions(disparity_px, STEP_PX, WIDEST, MARGIN_PX, OCCLUDED)
+    total_px = filled_px * evidence + np.float32(VOID * background_px)
+    evidence += np.float32(VOID)
     for strength in 1.5 * STRENGTH * 4.0 ** np.arange(ROUNDS - 1, -1, -1) / (4.0**ROUNDS - 1):
         total_px, evidence = _transpose(total_px), _transpose(evidence)
         diffuse_columns(total_px, evidence, links_T, strength)

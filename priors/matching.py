@@ -12,6 +12,8 @@ from priors.types import FloatMap, Image
 STEP_PX = 16  # OpenCV wants a multiple of 16 disparities
 WINDOW_PX = 5
 PENALTY_SMALL, PENALTY_LARGE = 8, 32  # per pixel of the window's area
+UNIQUE_PERCENT = 15  # the best match must beat all others by this
+SPECKLE_SHARE, SPECKLE_STEP_PX = 1 / 1200, 1  # islands of that share of the image are mismatches
 SCALE = np.float32(1 / 16)  # OpenCV's fixed point
 
 
@@ -89,9 +91,9 @@ def _match_grey(left: Image, right: Image, max_disparity_px: int, window: int) -
         P2=PENALTY_LARGE * area,
         disp12MaxDiff=1,
         preFilterCap=63,
-        uniquenessRatio=10,
-        speckleWindowSize=100,
-        speckleRange=2,
+        uniquenessRatio=UNIQUE_PERCENT,
+        speckleWindowSize=round(left.size * SPECKLE_SHARE),
+        speckleRange=SPECKLE_STEP_PX,
         mode=cv2.STEREO_SGBM_MODE_SGBM_3WAY,
     )
     # OpenCV leaves the first `count` columns out; padding gives them back.

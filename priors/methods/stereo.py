@@ -37,6 +37,11 @@ class Stereo:
         if self.max_disparity_px is not None and self.max_disparity_px < 1:
             raise DataError(f"stereo: max disparity is {self.max_disparity_px}, expected 1 or more pixels")
 
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Return what a frame must have."""
+        return ("image", "other")
+
     def resolve(self, frame: Frame) -> Self:
         """Return the config with the offset measured on this frame, or zero without a LiDAR."""
         if self.offset_px is not None:
