@@ -1,0 +1,1 @@
+"""Radiance fields of streets that lean on depth priors."""
