@@ -1,0 +1,215 @@
+"""A scene: the drive's frames and a prior's maps as memory-mapped arrays, in the drive's own metric frame.
+
+Prepared once a drive and once a prior, then shared by every run on them:
+
+    <folder>/<drive>-<digest>/images.npy         uint8 (frames, height, width, 3)
+                             /frames.json        ids, camera, poses
+                             /<prior>/depth.npy  float32 (frames, height, width), metres, 0 = no value
+                             /<prior>/weight.npy uint8 (frames, height, width), confidence x 255; where there is one
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from nerf.rays import Rays
+from nerf.split import split
+from priors.cache import Prior
+from priors.errors import DataError
+from priors.geometry import rays as pixel_rays
+from priors.types import Camera, Drive, Matrix
+
+LARGEST_STEP_M = 30.0
+"""Camera motion between neighbouring frames beyond which poses are taken to have jumped, metres."""
+Step = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Frames with poses and, where a prior is given, its depth; arrays are memory-mapped."""
+
+    name: str
+    ids: list[str]
+    camera: Camera
+    T_world_cam: npt.NDArray[np.float64]
+    """(frames, 4, 4)"""
+    images: npt.NDArray[np.uint8]
+    """(frames, height, width, 3)"""
+    depth_m: npt.NDArray[np.float32] | None
+    """(frames, height, width) the prior, 0 = no value; frames the prior lacks are all 0."""
+    weight: npt.NDArray[np.uint8] | None
+    """(frames, height, width) the prior's confidence x 255."""
+    train: list[int]
+    """Positions of the training frames."""
+    test: list[int]
+    """Positions of the held-out frames."""
+
+    def draw(self, count: int, seed: int, step: int) -> Rays:
+        """Draw `count` training rays; the same seed and step draw the same ones."""
+        height, width = self.camera.size
+        random = np.random.Generator(np.random.Philox(key=[seed, step]))
+        flat = random.integers(0, len(self.train) * height * width, count)
+        which, pixel = np.divmod(flat, height * width)
+        frame = np.asarray(self.train)[which]
+        return self.rays(frame, *np.divmod(pixel, width))
+
+    def rays(self, frame: npt.NDArray[Any], row: npt.NDArray[Any], column: npt.NDArray[Any]) -> Rays:
+        """Return the rays through pixels, (r,) each, with colour and prior."""
+        K = self.camera.K
+        x, y = (column - K[0, 2]) / K[0, 0], (row - K[1, 2]) / K[1, 1]
+        pose = self.T_world_cam[frame]
+        directions = np.einsum("rij,rj->ri", pose[:, :3, :3], np.stack([x, y, np.ones_like(x)], axis=1))
+        depth_m = None if self.depth_m is None else _tensor(self.depth_m[frame, row, column])
+        weight = None if self.weight is None else _tensor(self.weight[frame, row, column] / np.float32(255))
+        rgb = _tensor(self.images[frame, row, column] / np.float32(255))
+        return Rays(_tensor(pose[:, :3, 3]), _tensor(directions), rgb, depth_m, weight)
+
+    def points_m(self, most: int = 2_000_000) -> npt.NDArray[np.float32]:
+        """Back-project the training frames' prior: up to about `most` world points (n, 3), evenly thinned."""
+        if self.depth_m is None:
+            return np.zeros((0, 3), np.float32)
+        directions = pixel_rays(self.camera)
+        stride = max(1, round(len(self.train) * directions[..., 0].size / most))
+        found = []
+        for position in self.train:
+            depth_m = self.depth_m[position].reshape(-1)[position % stride :: stride]
+            camera = directions.reshape(-1, 3)[position % stride :: stride] * depth_m[:, None]
+            pose = self.T_world_cam[position]
+            found.append((camera[depth_m > 0] @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
+        return np.concatenate(found)
+
+
+def view_rays(camera: Camera, T_world_cam: Matrix) -> Rays:
+    """Return the rays of a whole view, row by row; no colour, no prior."""
+    directions = pixel_rays(camera).reshape(-1, 3) @ T_world_cam[:3, :3].T
+    origins = np.broadcast_to(T_world_cam[:3, 3], directions.shape)
+    return Rays(_tensor(origins), _tensor(directions))
+
+
+def open_scene(
+    drive: Drive, prior: Prior | None, views: str, positions: list[int], folder: Path, on_frame: Step = lambda: None
+) -> Scene:
+    """Prepare a drive (the frames at `positions`) and a prior for training, or open what was prepared before.
+
+    Raises:
+        DataError: frames lack poses, poses jump, or the prior was made for another drive or camera, or has no frame
+            or no value in common with the training frames.
+    """
+    ids = [drive.ids[position] for position in positions]
+    train, test = split(len(ids), views)
+    home = folder / f"{drive.name}-{_digest(drive.fingerprint(), *ids)}"
+    record = _prepare_images(drive, positions, home, on_frame)
+    camera = Camera(np.array(record["K"]), tuple(record["size"]))
+    depth_m, weight = (None, None) if prior is None else _prepare_prior(prior, drive, ids, camera, home)
+    if depth_m is not None and not any((depth_m[position] > 0).any() for position in train):
+        raise DataError(
+            f"{prior and prior.folder}: no value in any of the {len(train)} training frames: build it again"
+        )
+    images = np.load(home / "images.npy", mmap_mode="r")
+    return Scene(drive.name, ids, camera, np.array(record["T_world_cam"]), images, depth_m, weight, train, test)
+
+
+def _prepare_images(drive: Drive, positions: list[int], home: Path, on_frame: Step) -> dict[str, Any]:
+    """Write images and poses unless they are there; the record is written last and marks them as done."""
+    path = home / "frames.json"
+    if not path.exists():
+        home.mkdir(parents=True, exist_ok=True)
+        poses = _poses(drive, positions)
+        first = drive[positions[0]]
+        shape = (len(positions), *first.camera.size, 3)
+        images = np.lib.format.open_memmap(home / "images.npy", mode="w+", dtype=np.uint8, shape=shape)
+        for i, position in enumerate(positions):
+            image = drive[position].image()
+            images[i] = image if image.ndim == 3 else image[..., None]
+            on_frame()
+        images.flush()
+        ids = [drive.ids[position] for position in positions]
+        record = {"ids": ids, "K": first.camera.K.tolist(), "size": first.camera.size, "T_world_cam": poses.tolist()}
+        _write_json(path, record)
+    return json.loads(path.read_text())
+
+
+def _poses(drive: Drive, positions: list[int]) -> npt.NDArray[np.float64]:
+    """Collect the poses; DataError where one is missing, not finite, or far from its neighbour."""
+    poses = []
+    for position in positions:
+        frame = drive[position]
+        if frame.T_world_cam is None or not np.isfinite(frame.T_world_cam).all():
+            raise DataError(
+                f"{drive.name}: frame {frame.id} has no pose: a field needs poses (`priors check` tells more)"
+            )
+        poses.append(frame.T_world_cam)
+    stacked = np.array(poses)
+    steps_m = np.linalg.norm(np.diff(stacked[:, :3, 3], axis=0), axis=1)
+    allowed_m = np.maximum(LARGEST_STEP_M, 5 * np.median(steps_m)) if len(steps_m) else 0
+    jumps = np.flatnonzero(steps_m > allowed_m)
+    if len(jumps):
+        at = drive.ids[positions[int(jumps[0]) + 1]]
+        raise DataError(f"{drive.name}: the pose jumps {steps_m[jumps[0]]:.0f} m before frame {at}: cut with --frames")
+    return stacked
+
+
+def _prepare_prior(
+    prior: Prior, drive: Drive, ids: list[str], camera: Camera, home: Path
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8] | None]:
+    """Copy a prior's maps into one array each, joined by frame id."""
+    made_for = prior.manifest.get("fingerprint")
+    if made_for is not None and made_for != drive.fingerprint():
+        raise DataError(
+            f"{prior.folder}: made for {prior.drive.get('path')}, not for {drive.name}: build it for this drive"
+        )
+    common = [id_ for id_ in ids if prior.depth_path(id_).exists()]
+    if not common:
+        raise DataError(f"{prior.folder}: none of the {len(ids)} frames has a map: build the prior for these frames")
+    place = home / f"{prior.name}-{_digest(*common)}"
+    if not (place / "depth.npy").exists():
+        _copy_maps(prior, ids, set(common), camera, place)
+    weight = place / "weight.npy"
+    return np.load(place / "depth.npy", mmap_mode="r"), np.load(weight, mmap_mode="r") if weight.exists() else None
+
+
+def _copy_maps(prior: Prior, ids: list[str], common: set[str], camera: Camera, place: Path) -> None:
+    """Fill a temporary folder, then rename it: a killed run leaves no half array."""
+    half = place.with_name(f".{place.name}.half")
+    shutil.rmtree(half, ignore_errors=True)
+    half.mkdir(parents=True)
+    shape = (len(ids), *camera.size)
+    depth_m = np.lib.format.open_memmap(half / "depth.npy", mode="w+", dtype=np.float32, shape=shape)
+    weight = None
+    for i, id_ in enumerate(ids):
+        if id_ not in common:
+            continue
+        made = prior.read(id_)
+        if made.depth_m.shape != camera.size:
+            raise DataError(
+                f"{prior.depth_path(id_)}: {made.depth_m.shape}, the images are {camera.size}: build it again"
+            )
+        depth_m[i] = made.depth_m
+        if made.confidence is not None:
+            if weight is None:
+                weight = np.lib.format.open_memmap(half / "weight.npy", mode="w+", dtype=np.uint8, shape=shape)
+            weight[i] = np.rint(made.confidence * 255)
+    depth_m.flush()
+    half.rename(place)
+
+
+def _write_json(path: Path, record: dict[str, Any]) -> None:
+    from priors.codecs import write_bytes
+
+    write_bytes(path, json.dumps(record).encode())
+
+
+def _digest(*parts: str) -> str:
+    return hashlib.sha256("/".join(parts).encode()).hexdigest()[:10]
+
+
+def _tensor(array: npt.NDArray[Any]) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32))

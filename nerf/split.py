@@ -1,0 +1,32 @@
+"""Which frames train and which are held out: the study's rule, on positions in the drive."""
+
+from priors.errors import DataError
+
+EVERY_HELD_OUT = 10
+SPARSE_STEP = 4
+
+
+def split(count: int, views: str) -> tuple[list[int], list[int]]:
+    """Part `count` frames into training and held-out positions.
+
+    Every 10th frame is held out (positions 9, 19, ...). Of the rest, 'dense' trains on all, 'sparse' on every 4th
+    (the study's 2.5 Hz), and a number N on N of them, evenly spread.
+
+    Returns:
+        training positions, held-out positions.
+
+    Raises:
+        DataError: views is none of these, or more frames are asked for than there are.
+    """
+    held_out = list(range(EVERY_HELD_OUT - 1, count, EVERY_HELD_OUT))
+    rest = [position for position in range(count) if position not in set(held_out)]
+    if not rest:
+        raise DataError("no frames to train on: choose more with --frames")
+    if views == "dense":
+        return rest, held_out
+    if views == "sparse":
+        return rest[::SPARSE_STEP], held_out
+    if not views.isdigit() or not 1 <= int(views) <= len(rest):
+        raise DataError(f"--views {views}: expected dense, sparse or a number from 1 to {len(rest)}")
+    wanted = int(views)
+    return [rest[(2 * i + 1) * len(rest) // (2 * wanted)] for i in range(wanted)], held_out
