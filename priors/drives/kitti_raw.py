@@ -7,6 +7,7 @@ Quirks kept here:
 - Everything is joined by frame id: drives miss scans, images may cover fewer frames than the LiDAR.
 - image_02 is not camera 0: each P_rect has its own offset, and the sweep goes through camera 0's rectification.
 - Poses come from oxts in metres. The world is the IMU's frame at the first oxts file (x forward, y left, z up).
+- The oxts record kept for a frame was taken up to 5 ms before or after it: _oxts.py interpolates.
 - A sweep is one turn of the scanner, not a moment: the cameras are triggered when it faces forward, what lies to the
   left was measured up to 50 ms before that, to the right after it.
 - Pixel centres are integers: with the two facts above our projection repeats the official `velodyne_raw` maps
@@ -24,7 +25,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from priors import codecs
-from priors.drives import DriveOptions, _kitti_maps
+from priors.drives import DriveOptions, _kitti_maps, _oxts
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     check_baseline,
@@ -116,7 +117,8 @@ class KittiRaw:
     def fingerprint(self) -> str:
         """Digest calibration, oxts and the first image."""
         calibration = sorted(self.folder.parent.glob("calib_*.txt"))
-        return digest([*calibration, *self._oxts.values(), next(iter(self._images.values()))])
+        stamps = [self._stamps_file] if self._stamps_file.exists() else []
+        return digest([*calibration, *self._oxts.values(), *stamps, next(iter(self._images.values()))])
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids each sensor has, for the audit."""
@@ -216,9 +218,41 @@ class KittiRaw:
     def _T_world_velo(self, id_: str) -> Matrix | None:
         if id_ not in self._oxts or self.calibration.T_velo_imu is None:
             return None
+        return self._T_world_mercator @ self._T_mercator_imu(id_) @ invert(self.calibration.T_velo_imu)
+
+    def _T_mercator_imu(self, id_: str) -> Matrix:
+        """Return the IMU's pose when the frame was taken: between its record and the next, or the one before."""
+        T = self._record(id_)
+        number = int(id_) if id_.isdecimal() else -1
+        late_s = self._late_s.get(number, 0.0)
+        for step in (1, -1) if late_s > 0 else (-1, 1):
+            beside = f"{number + step:0{len(id_)}d}"
+            if late_s == 0 or beside not in self._oxts or number + step not in self._stamps:
+                continue
+            try:
+                T_beside = self._record(beside)
+            except DataError:
+                continue  # it spoils its own frame only
+            return _oxts.between(T, T_beside, late_s / (self._stamps[number + step] - self._stamps[number]))
+        return T
+
+    def _record(self, id_: str) -> Matrix:
         if id_ not in self._imu_poses:  # two threads may both read it: they find the same
             self._imu_poses[id_] = _imu_pose(self._oxts[id_], self._mercator_scale)
-        return self._T_world_mercator @ self._imu_poses[id_] @ invert(self.calibration.T_velo_imu)
+        return self._imu_poses[id_]
+
+    @cached_property
+    def _stamps(self) -> dict[int, float]:
+        """When the oxts records were taken, by frame number."""
+        return read_times(self._stamps_file) if self._stamps_file.exists() else {}
+
+    @property
+    def _stamps_file(self) -> Path:
+        return follow(self.folder / "oxts") / "timestamps.txt"
+
+    @cached_property
+    def _late_s(self) -> dict[int, float]:
+        return _oxts.late_s(self._stamps)
 
     @cached_property
     def _first_oxts(self) -> Path:
@@ -227,7 +261,7 @@ class KittiRaw:
 
     @cached_property
     def _T_world_mercator(self) -> Matrix:
-        return invert(_imu_pose(self._first_oxts, self._mercator_scale))
+        return invert(self._T_mercator_imu(self._first_oxts.stem))
 
     @cached_property
     def _mercator_scale(self) -> float:
