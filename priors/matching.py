@@ -13,12 +13,16 @@ STEP_PX = 16  # OpenCV wants a multiple of 16 disparities
 WINDOW_PX = 5
 PENALTY_SMALL, PENALTY_LARGE = 8, 32  # per pixel of the window's area
 UNIQUE_PERCENT = 15  # the best match must beat all others by this
+AGREE_PX = 1.0  # of the match downwards and the one upwards
 SPECKLE_SHARE, SPECKLE_STEP_PX = 1 / 1200, 1  # islands of that share of the image are mismatches
 SCALE = np.float32(1 / 16)  # OpenCV's fixed point
 
 
 def match(left: Image, right: Image, max_disparity_px: int | None = None, window: int = WINDOW_PX) -> FloatMap:
     """Match a pair of equal size, (height, width) or (height, width, 3), at full resolution.
+
+    Matches twice, downwards and upwards, and keeps the mean of what agrees: the matcher's vertical path only runs down,
+    so that on a road it lags some 0.6 rows (0.2 px at KITTI's camera height) behind; upwards it lags the other way.
 
     Args:
         left: the left view.
@@ -32,7 +36,10 @@ def match(left: Image, right: Image, max_disparity_px: int | None = None, window
     left, right = to_grey(left), to_grey(right)
     if max_disparity_px is None:
         max_disparity_px = find_max_disparity(left, right)
-    return _match_grey(left, right, max_disparity_px, window)
+    down_px = _match_grey(left, right, max_disparity_px, window)
+    up_px = _match_grey(left[::-1], right[::-1], max_disparity_px, window)[::-1]
+    agree = (down_px > 0) & (up_px > 0) & (np.abs(down_px - up_px) <= AGREE_PX)
+    return np.where(agree, (down_px + up_px) * np.float32(0.5), np.float32(0))
 
 
 def quick_match(left: Image, right: Image, max_disparity_px: int | None = None) -> FloatMap:
@@ -106,12 +113,15 @@ def _match_grey(left: Image, right: Image, max_disparity_px: int, window: int) -
 
 
 def unlock(disparity_px: FloatMap) -> FloatMap:
-    """Undo the matcher's pull towards whole pixels.
+    """Undo two habits of the matcher, which gives whole sixteenths of a pixel.
 
-    A parabola through costs that are flat near a whole pixel (Birchfield-Tomasi's are) is drawn to it, by up to a
-    quarter of a pixel on known shifts. f + sin(2 pi f) / (2 pi), the strongest such wave that keeps the order of
-    disparities, takes most of that back.
+    It rounds fractions below a whole pixel up, those above to the nearest: the former are a sixteenth too large. And a
+    parabola through costs that are flat near a whole pixel (Birchfield-Tomasi's are) is drawn to it, by up to a quarter
+    of a pixel on known shifts: f + sin(2 pi f) / (2 pi), the strongest such wave that keeps disparities in order, takes
+    most of that back.
     """
-    wave = np.sin(np.arange(16) * (np.pi / 8)) / (2 * np.pi)
-    sixteenth = (disparity_px * 16).astype(np.int32) & 15
-    return disparity_px + wave.astype(np.float32)[sixteenth]
+    code = np.arange(16)
+    fraction = (code - (code > 8) - 0.5 * (code % 8 == 0)) / 16
+    table = fraction + np.sin(2 * np.pi * fraction) / (2 * np.pi)
+    whole, code = np.divmod((disparity_px * 16).astype(np.int32), 16)
+    return np.asarray(whole + table.astype(np.float32)[code], dtype=np.float32)
