@@ -89,6 +89,12 @@ def test_ranges_split_the_scored_pixels(result):
     assert sum(part.count for row in result.rows for part in row.ranges) == result.sums.count
 
 
+def test_a_range_holds_its_start_and_not_its_end():
+    truth = np.array([[9.99, 10.0, 20.0, 40.0]])
+    (row,) = score([("a", truth, None, truth)], preset("uncapped")).rows
+    assert [part.count for part in row.ranges] == [1, 1, 1, 1, 0]
+
+
 def test_a_capped_protocol_has_no_range_beyond_its_cap():
     assert preset("paper").bins()[-1] == (40, 80)
 
