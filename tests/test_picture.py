@@ -102,6 +102,14 @@ def test_confidence_tile_of_a_map_without_one_is_black():
     assert (sure == colours.CONFIDENCE_COLOURS[-1]).all()
 
 
+def test_sparse_depth_and_confidence_are_thickened_alike():
+    depth_m = np.zeros((9, 9), np.float32)
+    depth_m[4, 4] = 9
+    depth = Depth(depth_m, (depth_m > 0).astype(np.float32))
+    for tile in (picture.depth_tile(depth, "lidar"), picture.confidence_tile(depth)):
+        assert tile.picture.any(axis=2).sum() == 9
+
+
 def test_panel_lays_tiles_out_and_scales_them():
     red, green = (np.zeros((10, 40, 3), np.uint8) for _ in range(2))
     red[...], green[...] = (200, 0, 0), (0, 200, 0)
