@@ -14,7 +14,7 @@ from priors.types import Camera, Depth, FloatMap, Frame, Image, Matrix
 
 LARGEST_M = 250.0  # what a depth PNG holds, less a little; a pair sees no difference beyond
 TOLERANCE_M = 1.0
-ERROR_PX, ERROR_UNMATCHED_PX, ERROR_PER_ROUGHNESS, ERROR_PER_SLOPE = 0.5, 3.1, 0.85, 1.15
+ERROR_PX, ERROR_UNMATCHED_PX, ERROR_PER_ROUGHNESS, ERROR_PER_SLOPE = 0.37, 2.5, 0.3, 0.8
 ROUGHNESS_WINDOW_PX = 7
 STEEP = 3.0  # px per px: what is steeper is an edge
 
