@@ -76,7 +76,7 @@ def collect(frames: Iterable[tuple[FloatArray, FloatArray | None, FloatArray]], 
 def sample(ready: Prepared, confidence: FloatArray | None) -> tuple[Flat, Flat, Flat]:
     """Return one frame's scored pixels: prediction, truth, confidence, each (n,); confidence is of the whole image."""
     scored = ready.own & has_value(ready.truth_m)
-    trust = np.ones(scored.shape) if confidence is None else confidence[ready.window]
+    trust = np.ones(scored.shape) if confidence is None else ready.cut(confidence)
     return ready.prediction_m[scored], ready.truth_m[scored], trust[scored].astype(np.float64)
 
 

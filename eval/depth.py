@@ -31,14 +31,14 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.floating]
 Mask = npt.NDArray[np.bool_]
 
-# numpy scalars, not floats: a float16 map is then compared in float64, not against an overflowed float16.
-SMALLEST_M = np.float64(np.finfo(np.float32).smallest_subnormal)
-LARGEST_M = np.float64(np.finfo(np.float32).max)
+SMALLEST_M = float(np.finfo(np.float32).smallest_subnormal)
+LARGEST_M = float(np.finfo(np.float32).max)
 
 
 def has_value(depth_m: npt.NDArray[Any]) -> Mask:
     """Tell where a map (any shape) has a value."""
-    return (depth_m >= SMALLEST_M) & (depth_m <= LARGEST_M)
+    wide = depth_m.astype(np.float64, copy=False)  # a float16 map is not compared against an overflowed bound
+    return (wide >= SMALLEST_M) & (wide <= LARGEST_M)
 
 
 @dataclass(frozen=True, slots=True)

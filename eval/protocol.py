@@ -6,7 +6,7 @@ compared only where their protocols are equal.
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -37,6 +37,14 @@ class Prepared:
     """(height, width), True where the prediction is the method's own, not filled in for it."""
     window: tuple[slice, slice]
     """Rows and columns of the image that were taken."""
+    size: tuple[int, ...]
+    """(height, width) of the image."""
+
+    def cut(self, confidence: FloatArray) -> FloatArray:
+        """Take the same pixels out of the frame's confidence map; ScoreError where it has another size."""
+        if confidence.shape != self.size:
+            raise ScoreError(f"confidence is {text(confidence.shape)}, truth {text(self.size)}")
+        return confidence[self.window]
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +96,9 @@ class Protocol:
             ScoreError: the shapes differ, or the image is smaller than the crop.
         """
         if prediction_m.shape != truth_m.shape or truth_m.ndim != 2:
-            raise ScoreError(f"prediction is {shape(prediction_m)}, truth {shape(truth_m)}: they must be one size")
+            raise ScoreError(
+                f"prediction is {text(prediction_m.shape)}, truth {text(truth_m.shape)}: they must be one size"
+            )
         window = crop_window(self.crop, truth_m.shape)
         own = has_value(prediction_m)
         prediction = np.where(own, prediction_m, 0).astype(np.float64)
@@ -101,7 +111,7 @@ class Protocol:
         valued = has_value(prediction)
         if self.clamp:
             np.clip(prediction, self.min_m, self.max_m, out=prediction)
-        return Prepared(np.where(valued, prediction, 0), truth, own & valued, window)
+        return Prepared(np.where(valued, prediction, 0), truth, own & valued, window, truth_m.shape)
 
 
 def crop_window(crop: str, size: tuple[int, ...]) -> tuple[slice, slice]:
@@ -160,9 +170,9 @@ def fill_rows(depth_m: npt.NDArray[np.float64], farther: bool) -> npt.NDArray[np
     return filled
 
 
-def shape(array: npt.NDArray[Any]) -> str:
-    """Write an array's shape as people do: 375x1242."""
-    return "x".join(map(str, array.shape))
+def text(shape: tuple[int, ...]) -> str:
+    """Write a shape as people do: 375x1242."""
+    return "x".join(map(str, shape))
 
 
 PRESETS = {

@@ -167,6 +167,7 @@ def score_frame(
     """Score one frame; see `score`."""
     try:
         ready = protocol.prepare(prediction_m, truth_m)
+        ause = {} if confidence is None else _ause(Samples(*sample(ready, confidence)))
     except ScoreError as error:
         raise ScoreError(f"frame {frame}: {error}") from error
     seen = ready.truth_m > 0  # a fifth of the image: the rest only counts for density_image
@@ -177,7 +178,7 @@ def score_frame(
         replace(DepthSums.over(p, t, own), pixels=ready.own.size, values=int(np.count_nonzero(ready.own))),
         None if fx_baseline is None else DisparitySums.over_depths(p, t, fx_baseline),
         tuple(DepthSums.over(p[part], t[part], own[part]) for part in parts),
-        {} if confidence is None else _ause(Samples(*sample(ready, confidence))),
+        ause,
     )
 
 

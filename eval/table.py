@@ -152,7 +152,7 @@ def render(results: Sequence[Result], keys: Sequence[str] | None = None, width: 
     """Make a rich table; columns that do not fit into width characters are left out, last ones first, and named."""
     laid = sheet(results, keys)
     widths = [max(len(column.label), *(len(row[i]) for row in laid.cells)) + 3 for i, column in enumerate(laid.columns)]
-    taken = max(map(len, [*laid.names, "prior"])) + 3 + np.cumsum(widths)
+    taken = max(map(len, [*laid.names, "prior"])) + 4 + np.cumsum(widths)
     fit = len(widths) if width is None else max(1, int(np.count_nonzero(taken <= width)))
     hidden = [f"no room for {', '.join(column.label for column in laid.columns[fit:])}"] * (fit < len(widths))
     caption = "\n".join([laid.caption, *laid.notes, *hidden])

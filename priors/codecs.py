@@ -9,8 +9,11 @@
 | pfm   | float32, rows bottom-up                  | 0, NaN or inf   | -             |
 """
 
+import io
 import os
 import uuid
+import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -148,15 +151,18 @@ def write_pfm(path: Path, values: FloatMap) -> None:
 
 
 def _load_numpy(path: Path) -> npt.NDArray[np.floating]:
+    data = io.BytesIO(_read_bytes(path))
     try:
-        loaded = np.load(path, allow_pickle=False)
+        loaded = np.load(data, allow_pickle=False)
         array = loaded if isinstance(loaded, np.ndarray) else loaded[loaded.files[0]]
-    except (OSError, ValueError, EOFError, IndexError) as error:
+    except (OSError, ValueError, EOFError, IndexError, zipfile.BadZipFile, zlib.error) as error:
         raise DataError(f"{path}: cannot be read ({error}): write it again with numpy.save") from error
-    array = np.squeeze(array)
-    if array.ndim != 2:
-        raise DataError(f"{path}: expected a (height, width) array, found shape {array.shape}")
-    return np.asarray(array, dtype=np.float32)
+    if array.ndim > 2:
+        array = array.squeeze()
+    if array.ndim != 2 or array.dtype.kind not in "fiu":
+        raise DataError(f"{path}: expected (height, width) numbers, found {array.dtype} with shape {array.shape}")
+    with np.errstate(over="ignore"):
+        return np.asarray(array, dtype=np.float32)
 
 
 def _read_bytes(path: Path) -> bytes:
@@ -170,8 +176,9 @@ def _read_bytes(path: Path) -> bytes:
 
 def _decode(path: Path, flags: int) -> npt.NDArray[Any]:
     data = _read_bytes(path)
-    # OpenCV fills what a truncated PNG lacks with zeros, which would pass for "no value".
+    # OpenCV 4 fills what a truncated file lacks with zeros or grey, which would pass for "no value" or for a wall.
     whole = not data.startswith(b"\x89PNG") or b"IEND" in data[-16:]
+    whole &= not data.startswith(b"\xff\xd8") or b"\xff\xd9" in data[-1024:]
     image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data and whole else None
     if image is None:
         raise DataError(f"{path}: damaged image ({len(data)} bytes): download or build it again")

@@ -46,7 +46,8 @@ NEAR_TO_FAR = _blend([(24, 60, 170), (90, 160, 225), (242, 242, 238), (240, 140,
 def colour_depth(depth_m: FloatMap, nearest_m: float = NEAREST_M, farthest_m: float = FARTHEST_M) -> Image:
     """Colour a depth map (height, width) on a logarithmic scale; what lies outside takes the end's colour."""
     valid = depth_m > 0
-    logs = np.log(np.where(valid, depth_m, 1) / nearest_m) / np.log(farthest_m / nearest_m)
+    shown_m = np.clip(np.where(valid, depth_m, nearest_m), nearest_m, farthest_m)
+    logs = np.log(shown_m / nearest_m) / np.log(farthest_m / nearest_m)
     return _paint(DEPTH_COLOURS, 1 - logs, valid)
 
 
@@ -71,7 +72,7 @@ def colour_signed_error(prediction_m: FloatMap, truth_m: FloatMap) -> Image:
 
 
 def _relative_error(prediction_m: FloatMap, truth_m: FloatMap) -> tuple[Mask, npt.NDArray[np.float64]]:
-    both = (prediction_m > 0) & (truth_m > 0)
+    both = (prediction_m > 0) & (truth_m > 0) & np.isfinite(truth_m)
     truth = np.where(both, truth_m, 1).astype(np.float64)
     return both, np.where(both, prediction_m, 1) / truth - 1
 

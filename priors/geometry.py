@@ -33,10 +33,10 @@ def project(camera: Camera, xyz_cam: Points) -> tuple[Points, Points]:
         uv_px (n, 2) and depth_m (n,). Points with z <= 0 give non-finite or mirrored pixels: mask by depth.
     """
     depth_m = xyz_cam[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         u = camera.K[0, 0] * xyz_cam[:, 0] / depth_m + camera.K[0, 2]
         v = camera.K[1, 1] * xyz_cam[:, 1] / depth_m + camera.K[1, 2]
-    return np.stack([u, v], axis=1).astype(xyz_cam.dtype), depth_m
+        return np.stack([u, v], axis=1).astype(xyz_cam.dtype), depth_m
 
 
 def rays(camera: Camera) -> npt.NDArray[np.float64]:
@@ -68,7 +68,8 @@ def depth_from_range(camera: Camera, range_m: FloatMap) -> FloatMap:
 def convert_disparity(map_: FloatMap, fx_px: float, baseline_m: float) -> FloatMap:
     """Turn disparity (px) into depth (m) or back: both are fx * baseline / other; values <= 0 become 0."""
     out = np.zeros_like(map_, dtype=np.float32)
-    np.divide(np.float32(fx_px * baseline_m), map_, out=out, where=map_ > 0)
+    with np.errstate(over="ignore"):
+        np.divide(np.float32(fx_px * baseline_m), map_, out=out, where=map_ > 0)
     out[~np.isfinite(out)] = 0  # denormal input: no surface is that far, nor that near
     return out
 
@@ -95,14 +96,15 @@ def crop(camera: Camera, top: int, left: int, size: tuple[int, int]) -> Camera:
 def scatter_nearest(uv_px: Points, depth_m: Points, size: tuple[int, int]) -> FloatMap:
     """Put points into a depth map (height, width): nearest pixel, nearest point wins, 0 where none falls.
 
-    Points outside the image, behind the camera or not finite are left out.
+    Points outside the image, behind the camera, or whose depth float32 cannot hold as a number above 0 are left out.
     """
     height, width = size
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
+        depth_m = depth_m.astype(np.float32)
         inside = (depth_m > 0) & np.isfinite(depth_m)
         inside &= (uv_px > -0.5).all(axis=1) & (uv_px[:, 0] < width - 0.5) & (uv_px[:, 1] < height - 0.5)
     cell = np.rint(uv_px[inside]).astype(np.int64)
     flat = np.full(height * width, np.inf, dtype=np.float32)
-    np.minimum.at(flat, cell[:, 1] * width + cell[:, 0], depth_m[inside].astype(np.float32))
+    np.minimum.at(flat, cell[:, 1] * width + cell[:, 0], depth_m[inside])
     flat[np.isinf(flat)] = 0
     return flat.reshape(size)

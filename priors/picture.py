@@ -105,10 +105,11 @@ def signed_error_tile(depth: Depth, truth: Depth) -> Tile:
 
 
 def confidence_tile(depth: Depth) -> Tile:
-    """Make the tile of a depth map's confidence; all black where the method has none."""
+    """Make the tile of a depth map's confidence, thickened where sparse; all black where the method has none."""
     confidence = np.zeros_like(depth.depth_m) if depth.confidence is None else depth.confidence
     valid = depth.valid & (depth.confidence is not None)
-    return Tile(colour_confidence(confidence, valid), "confidence", CONFIDENCE_BAR)
+    picture = colour_confidence(confidence, valid)
+    return Tile(thicken(picture) if depth.density < SPARSE else picture, "confidence", CONFIDENCE_BAR)
 
 
 def panel(tiles: Sequence[Tile], columns: int = 2, tile_width: int = 828) -> Image:

@@ -8,6 +8,8 @@ from factories import write_argoverse_stereo, write_argoverse_tracking, write_fo
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 DATA = SHARED / "data"
+RealData = Callable[..., Path]
+"""The real_data fixture's type."""
 
 
 def real(*parts: str) -> Path:
@@ -19,7 +21,7 @@ def real(*parts: str) -> Path:
 
 
 @pytest.fixture
-def real_data() -> Callable[..., Path]:
+def real_data() -> RealData:
     """real_data("kitti_raw") -> its folder; skips where it is missing."""
     return real
 

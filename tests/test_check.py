@@ -1,18 +1,16 @@
 """The audit: what it says about sound drives, and that each fault planted in one is found."""
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import RealData
 from factories import STEP_M, write_av_pose, write_oxts, write_raw
 
 from priors import codecs
 from priors.check import Finding, check
 from priors.drives import DriveOptions, open_drive
-
-RealData = Callable[..., Path]
 
 
 def audit(path: Path, **options: str) -> list[Finding]:

@@ -71,7 +71,7 @@ def stamps(folder: Path) -> dict[str, int]:
 
 
 def test_all_methods_are_built_and_scored_in_one_table(built: Path) -> None:
-    text = succeed("eval", "cache", "--save", "table.md", "--save", "table.csv", "--ranges", cwd=built)
+    text = succeed("eval", "cache", "--save", "table.md", "table.csv", "--ranges", cwd=built)
     for method in ("lidar", "completion", "stereo"):
         assert re.search(rf"^{method}\b", text, re.MULTILINE)
     assert (built / "table.md").read_text().count("**") > 4, "the best is bold"

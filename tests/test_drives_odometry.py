@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import RealData
 from factories import BASELINE_M, SIZE, STEP_M, depth_m, scene, write_odometry
 
 from priors import codecs
@@ -123,7 +124,7 @@ def test_swapped_projections_are_refused(odometry_root: Path) -> None:
         open_drive(odometry_root)
 
 
-def test_real_grey_download(real_data) -> None:  # type: ignore[no-untyped-def]
+def test_real_grey_download(real_data: RealData) -> None:
     root = real_data("kitti_odometry")
     drive = open_drive(root, options=DriveOptions(drive="06"))
     frame = drive[1]

@@ -1,10 +1,10 @@
 """The KITTI raw reader: joins by id, poses, the rig's geometry, damaged files; and the real drive's facts."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import RealData
 from factories import BASELINE_M, SIZE, STEP_M, depth_m, scene, write_oxts, write_raw
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -16,7 +16,6 @@ from priors.geometry import invert, project, scatter_nearest, transform
 from priors.sweep import untwist
 
 EARTH_RADIUS_M = 6378137.0
-RealData = Callable[..., Path]
 
 
 @pytest.mark.parametrize("levels", [0, 1, 2])

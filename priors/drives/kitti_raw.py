@@ -7,6 +7,7 @@ Quirks kept here:
 - Everything is joined by frame id: drives miss scans, images may cover fewer frames than the LiDAR.
 - image_02 is not camera 0: each P_rect has its own offset, and the sweep goes through camera 0's rectification.
 - Poses come from oxts in metres. The world is the IMU's frame at the first oxts file (x forward, y left, z up).
+- The oxts record kept for a frame was taken up to 5 ms before or after it: _oxts.py interpolates.
 - A sweep is one turn of the scanner, not a moment: the cameras are triggered when it faces forward, what lies to the
   left was measured up to 50 ms before that, to the right after it.
 - Pixel centres are integers: with the two facts above our projection repeats the official `velodyne_raw` maps
@@ -35,17 +36,16 @@ from priors.drives._files import (
     need,
     read_key_values,
     read_sized,
-    read_text,
     read_times,
     search,
     split_projection,
     stems,
 )
+from priors.drives._oxts import Track
 from priors.errors import DataError
 from priors.geometry import invert
 from priors.types import Camera, Depth, Frame, Matrix, Sweep
 
-EARTH_RADIUS_M = 6378137.0
 SWEEP_S = 0.1
 # The scanner turns clockwise seen from above: azimuth (x forward, y left) falls as time passes.
 SECONDS_PER_RADIAN = -SWEEP_S / (2 * np.pi)
@@ -93,14 +93,13 @@ class KittiRaw:
             raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
         self._others = _images(folder, PARTNER[camera])
         self._sweeps = stems(follow(folder / "velodyne_points") / "data", [".bin"])
-        self._oxts = stems(follow(folder / "oxts") / "data", [".txt"])
+        self._track = Track(follow(folder / "oxts"))
         self.ids = list(self._images)
         self.calibration = read_calibration(folder.parent, camera)
         self.baseline_m, self.side = self._read_pair()
         self._read_sweep = lru_cache(maxsize=SWEEPS_KEPT)(self._load_sweep)
         self._truth_option = truth
         self._maps = self._find_maps()
-        self._imu_poses: dict[str, Matrix] = {}
 
     @property
     def name(self) -> str:
@@ -116,11 +115,11 @@ class KittiRaw:
     def fingerprint(self) -> str:
         """Digest calibration, oxts and the first image."""
         calibration = sorted(self.folder.parent.glob("calib_*.txt"))
-        return digest([*calibration, *self._oxts.values(), next(iter(self._images.values()))])
+        return digest([*calibration, *self._track.sources, next(iter(self._images.values()))])
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids each sensor has, for the audit."""
-        return {"other": list(self._others), "sweep": list(self._sweeps), "oxts": list(self._oxts)}
+        return {"other": list(self._others), "sweep": list(self._sweeps), "oxts": list(self._track.files)}
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -151,7 +150,7 @@ class KittiRaw:
             missing=missing,
             T_world_cam=self._pose(id_),
             T_cam_lidar=self._T_cam_velo,
-            time_s=self._times.get(int(id_)) if id_.isdecimal() else None,
+            time_s=self._times.get(int(id_)),
             baseline_m=self.baseline_m,
             side=self.side,
         )
@@ -214,27 +213,8 @@ class KittiRaw:
         return T_world_velo @ invert(self._T_cam_velo)
 
     def _T_world_velo(self, id_: str) -> Matrix | None:
-        if id_ not in self._oxts or self.calibration.T_velo_imu is None:
-            return None
-        if id_ not in self._imu_poses:  # two threads may both read it: they find the same
-            self._imu_poses[id_] = _imu_pose(self._oxts[id_], self._mercator_scale)
-        return self._T_world_mercator @ self._imu_poses[id_] @ invert(self.calibration.T_velo_imu)
-
-    @cached_property
-    def _first_oxts(self) -> Path:
-        """The file that sets the drive's world: damaged, it leaves no frame a pose."""
-        return next(iter(self._oxts.values()))
-
-    @cached_property
-    def _T_world_mercator(self) -> Matrix:
-        return invert(_imu_pose(self._first_oxts, self._mercator_scale))
-
-    @cached_property
-    def _mercator_scale(self) -> float:
-        try:
-            return float(np.cos(np.radians(_read_oxts(self._first_oxts)[0])))
-        except DataError as error:
-            raise DataError(f"{error}: it sets the drive's world, without it no frame has a pose") from error
+        T_velo_imu, T_world_imu = self.calibration.T_velo_imu, self._track.T_world_imu(id_)
+        return None if T_velo_imu is None or T_world_imu is None else T_world_imu @ invert(T_velo_imu)
 
     def _load_sweep(self, number: int, width: int) -> Sweep | None:
         id_ = f"{number:0{width}d}"
@@ -270,7 +250,8 @@ class KittiRaw:
 
 
 def _images(folder: Path, camera: str) -> dict[str, Path]:
-    return stems(follow(folder / camera) / "data", IMAGE_SUFFIXES)
+    images = stems(follow(folder / camera) / "data", IMAGE_SUFFIXES)
+    return {id_: path for id_, path in images.items() if id_.isdecimal()}
 
 
 def read_calibration(date: Path, camera: str) -> Calibration:
@@ -319,26 +300,3 @@ def read_sweep_file(path: Path) -> npt.NDArray[np.float32]:
     if not finite.any():
         raise DataError(f"{path}: no finite point in the sweep: download it again")
     return xyz_m if finite.all() else xyz_m[finite]
-
-
-def _read_oxts(path: Path) -> npt.NDArray[np.float64]:
-    """Read latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad) from an oxts file."""
-    words = read_text(path).split()
-    try:
-        values = np.array([float(word) for word in words[:6]])
-    except ValueError as error:
-        raise DataError(f"{path}: oxts fields are not numbers: download it again") from error
-    if values.size < 6 or not np.isfinite(values).all():
-        raise DataError(f"{path}: expected 6 finite oxts fields (lat lon alt roll pitch yaw), found {values.tolist()}")
-    return values
-
-
-def _imu_pose(path: Path, scale: float) -> Matrix:
-    """Turn an oxts file into (4, 4): Mercator metres and Rz(yaw) Ry(pitch) Rx(roll), as KITTI's devkit does."""
-    latitude, longitude, altitude_m, roll, pitch, yaw = _read_oxts(path)
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
-    T[0, 3] = scale * EARTH_RADIUS_M * np.radians(longitude)
-    T[1, 3] = scale * EARTH_RADIUS_M * np.log(np.tan(np.pi / 4 + np.radians(latitude) / 2))
-    T[2, 3] = altitude_m
-    return T

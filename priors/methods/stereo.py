@@ -9,11 +9,12 @@ import numpy as np
 from priors.diffusion import diffuse
 from priors.errors import DataError
 from priors.matching import match, to_grey
-from priors.types import Camera, Depth, FloatMap, Frame, Image
+from priors.offset import NONE, Offset, measure_offset
+from priors.types import Camera, Depth, FloatMap, Frame, Image, Matrix
 
 LARGEST_M = 250.0  # what a depth PNG holds, less a little; a pair sees no difference beyond
 TOLERANCE_M = 1.0
-ERROR_PX, ERROR_UNMATCHED_PX, ERROR_PER_ROUGHNESS, ERROR_PER_SLOPE = 0.5, 3.1, 0.85, 1.15
+ERROR_PX, ERROR_UNMATCHED_PX, ERROR_PER_ROUGHNESS, ERROR_PER_SLOPE = 0.37, 2.5, 0.3, 0.8
 ROUGHNESS_WINDOW_PX = 7
 STEEP = 3.0  # px per px: what is steeper is an edge
 
@@ -46,9 +47,7 @@ class Stereo:
         """Return the config with the offset measured on this frame, or zero without a LiDAR."""
         if self.offset_px is not None:
             return self
-        from priors.offset import measure_offset
-
-        return replace(self, offset_px=measure_offset(frame, self.max_disparity_px))
+        return replace(self, offset_px=calibrate(frame, self.max_disparity_px))
 
     def __call__(self, frame: Frame) -> Depth:
         """Make the depth map (height, width), metres along the camera's z axis.
@@ -62,7 +61,7 @@ class Stereo:
         error_px = expected_error(matched_px, disparity_px, evidence)
         disparity_px, error_px = unmirror(frame, disparity_px), unmirror(frame, error_px)
         found = disparity_px > 0
-        disparity_px = disparity_px + offset_row(frame.camera, self.offset_px or (0.0, 0.0, 0.0))
+        disparity_px = disparity_px + offset_row(frame.camera, self.offset_px or NONE)
         np.maximum(disparity_px, np.float32(fx_baseline / LARGEST_M), out=disparity_px)
         depth_m = np.where(found, np.float32(fx_baseline) / disparity_px, np.float32(0))
         confidence = np.where(found, probability(disparity_px, error_px, fx_baseline), np.float32(0))
@@ -88,12 +87,34 @@ def read_pair(frame: Frame) -> tuple[Image, Image]:
     return np.ascontiguousarray(image[:, ::-1]), np.ascontiguousarray(other[:, ::-1])
 
 
+def calibrate(frame: Frame, max_disparity_px: int | None) -> Offset:
+    """Measure the pair's disparity offset against the frame's own sweep; zeros where either is missing."""
+    if frame.T_cam_lidar is None or frame.baseline_m is None or not (frame.has("sweep") and frame.has("other")):
+        return NONE
+    sweep = frame.sweep()
+    if sweep is None:
+        return NONE
+    image, other = read_pair(frame)
+    camera, T_cam_lidar = frame.camera, frame.T_cam_lidar
+    if frame.side == "right":
+        camera, T_cam_lidar = mirror(camera, T_cam_lidar)
+    a, b, c = measure_offset(image, other, camera, frame.baseline_m, sweep, T_cam_lidar, max_disparity_px)
+    return (a, b, c) if frame.side == "left" else (a, -b, c)
+
+
+def mirror(camera: Camera, T_cam_lidar: Matrix) -> tuple[Camera, Matrix]:
+    """Return the camera and the LiDAR's place as the horizontally mirrored image has them."""
+    K = camera.K.copy()
+    K[0, 2] = camera.size[1] - 1 - K[0, 2]
+    return Camera(K, camera.size), np.diag([-1.0, 1.0, 1.0, 1.0]) @ T_cam_lidar
+
+
 def unmirror(frame: Frame, map_: FloatMap) -> FloatMap:
     """Turn a map made from `read_pair` back into the frame's own view."""
     return map_ if frame.side == "left" else np.ascontiguousarray(map_[:, ::-1])
 
 
-def offset_row(camera: Camera, offset_px: tuple[float, float, float]) -> FloatMap:
+def offset_row(camera: Camera, offset_px: Offset) -> FloatMap:
     """Return the offset of every column's disparity: (1, width) px."""
     X = (np.arange(camera.size[1]) - camera.K[0, 2]) / camera.fx
     return np.polynomial.polynomial.polyval(X, offset_px)[None].astype(np.float32)

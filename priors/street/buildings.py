@@ -13,6 +13,7 @@ from priors.street import mesh
 from priors.street.materials import Material
 from priors.street.mesh import Mesh
 
+Values = npt.NDArray[np.floating]
 PLASTER_TINTS = np.array(
     [
         [0.62, 0.56, 0.44], [0.66, 0.63, 0.56], [0.50, 0.47, 0.42], [0.60, 0.48, 0.30], [0.52, 0.33, 0.20],
@@ -31,15 +32,21 @@ class Style:
     """What the windows and walls of one house have in common."""
 
     wall: int
-    wall_tint: npt.NDArray[np.float64]
-    base_tint: npt.NDArray[np.float64]
-    trim_tint: npt.NDArray[np.float64]
+    wall_tint: Values
+    base_tint: Values
+    trim_tint: Values
     floor_m: float
     base_m: float
     window_m: tuple[float, float]
     """Width and height."""
     recess_m: float
     shop: bool
+    trim_m: float
+    """Width of the frames on the wall around windows; 0 = none."""
+    bands: bool
+    """Whether a moulding runs along under each floor."""
+    shutters: Values | None
+    """Colour of the shutters, None where there are none."""
     key: float
 
 
@@ -47,7 +54,9 @@ def draw_style(rng: np.random.Generator) -> Style:
     """Draw the look of a house."""
     brick = rng.random() < 0.25
     tints = BRICK_TINTS if brick else PLASTER_TINTS
-    tint = tints[rng.integers(len(tints))] * rng.uniform(0.75, 1.15) * rng.uniform(0.93, 1.07, 3)
+    tint = tints[rng.integers(len(tints))] * rng.uniform(0.6, 1.05) * rng.uniform(0.95, 1.05, 3)
+    grey = rng.uniform(0.25, 0.8) * (0.3 if brick else 1.0)
+    tint = (1 - grey) * tint + grey * tint.mean()
     return Style(
         wall=Material.BRICK if brick else Material.PLASTER,
         wall_tint=tint,
@@ -57,7 +66,10 @@ def draw_style(rng: np.random.Generator) -> Style:
         base_m=rng.uniform(0.4, 1.0),
         window_m=(rng.uniform(0.9, 1.6), rng.uniform(1.2, 1.75)),
         recess_m=rng.uniform(0.08, 0.24),
-        shop=bool(rng.random() < 0.2),
+        shop=bool(rng.random() < 0.25),
+        trim_m=float(rng.choice([0.0, rng.uniform(0.07, 0.16)])),
+        bands=bool(rng.random() < 0.4),
+        shutters=DOOR_TINTS[rng.integers(len(DOOR_TINTS))] if rng.random() < 0.15 else None,
         key=rng.uniform(0, 1000),
     )
 
@@ -66,12 +78,12 @@ def house(rng: np.random.Generator, width_m: float, floors: int, depth_m: float 
     """Build one house of a width and a number of floors."""
     style = draw_style(rng)
     eaves = style.base_m + floors * style.floor_m
-    parts = [facade(rng, style, width_m, floors), *_shell(style, width_m, depth_m, eaves)]
+    parts = [facade(rng, style, width_m, floors), *_shell(rng, style, width_m, depth_m, eaves)]
     if rng.random() < 0.75:
         parts += _gable_roof(rng, style, width_m, depth_m, eaves)
     else:
         parts.append(
-            mesh.box([0, -0.1, eaves], [width_m, depth_m, eaves + 0.5], style.wall, style.wall_tint, style.key)
+            mesh.bar([0, -0.1, eaves], [width_m, depth_m, eaves + 0.5], style.wall, style.wall_tint, style.key)
         )
     if floors > 2 and rng.random() < 0.35:
         parts += _balconies(rng, style, width_m, floors)
@@ -105,14 +117,22 @@ def facade(rng: np.random.Generator, style: Style, width_m: float, floors: int) 
                 sill[:], head[:], half[:] = 0.4, top - 0.5, 0.44 * pitch
         parts.append(_storey(style, (low, top), middles, half, sill, head, pitch))
         parts.append(_openings(rng, style, middles, half, sill, head, is_door))
-    band = style.base_m
-    parts.append(mesh.box([0, -0.04, 0], [width_m, 0.0, band], Material.PLASTER, style.base_tint, style.key + 5))
+        if floor or not style.shop:
+            parts += _trim(style, middles[~is_door], half[~is_door], sill[~is_door], head[~is_door], pitch)
+        if floor and style.bands:
+            parts.append(
+                mesh.bar([0, -0.06, low - 0.09], [width_m, 0, low + 0.09], Material.PLAIN, style.trim_tint * 0.85)
+            )
+    if style.shop:
+        parts += _shop_front(rng, style, width_m)
+    band = style.base_m if not style.shop else 0.4
+    parts.append(mesh.bar([0, -0.04, 0], [width_m, 0.0, band], Material.PLASTER, style.base_tint, style.key + 5))
     return mesh.merge(parts)
 
 
 def _storey(
-    style: Style, z: tuple[float, float], middles: npt.NDArray[np.float64], half: npt.NDArray[np.float64],
-    sill: npt.NDArray[np.float64], head: npt.NDArray[np.float64], pitch: float,
+    style: Style, z: tuple[float, float], middles: Values, half: Values,
+    sill: Values, head: Values, pitch: float,
 ) -> Mesh:  # fmt: skip
     """Fill the wall around the openings of one floor."""
     cells = []
@@ -128,16 +148,16 @@ def _upright(x0: float, x1: float, z0: float, z1: float, y: float) -> list[tuple
 
 
 def _openings(
-    rng: np.random.Generator, style: Style, middles: npt.NDArray[np.float64], half: npt.NDArray[np.float64],
-    sill: npt.NDArray[np.float64], head: npt.NDArray[np.float64], is_door: npt.NDArray[np.bool_],
+    rng: np.random.Generator, style: Style, middles: Values, half: Values,
+    sill: Values, head: Values, is_door: npt.NDArray[np.bool_],
 ) -> Mesh:  # fmt: skip
-    parts, unit, y = [], [(0, 0), (1, 0), (1, 1), (0, 1)], style.recess_m
+    parts, y = [], style.recess_m
     door_tint = DOOR_TINTS[rng.integers(len(DOOR_TINTS))]
     reveals = []
     for x, h, low, high, door in zip(middles, half, sill, head, is_door, strict=True):
         pane = _upright(x - h, x + h, low, high, y)
         material, tint = (Material.DOOR, door_tint) if door else (Material.GLASS, style.trim_tint)
-        parts.append(mesh.quads([pane], material, tint, rng.uniform(0, 1000), unit))
+        parts.append(mesh.quads([pane], material, tint, rng.uniform(0, 1000), mesh.UNIT_PANE))
         front = _upright(x - h, x + h, low, high, 0.0)
         reveals += [[front[i], front[(i + 1) % 4], pane[(i + 1) % 4], pane[i]] for i in range(4)]
         if not door:
@@ -147,11 +167,63 @@ def _openings(
     return mesh.merge(parts)
 
 
-def _shell(style: Style, width_m: float, depth_m: float, eaves: float) -> list[Mesh]:
-    """Build the side and back walls."""
+def _trim(style: Style, middles: Values, half: Values, sill: Values, head: Values, pitch: float) -> list[Mesh]:
+    """Put frames or shutters on the wall around windows."""
+    left, right, flat = middles - half, middles + half, np.zeros(len(middles))
+    parts = []
+    if style.shutters is not None and 2.2 * half[0] < 0.5 * pitch:
+        wide = np.minimum(half, 0.25 * pitch)
+        ends = [_box_ends(a, b, flat - 0.05, flat, sill, head) for a, b in ((left - wide, left), (right, right + wide))]
+        parts.append(mesh.boxes(np.concatenate(ends), Material.PLAIN, style.shutters, style.key))
+    elif style.trim_m and len(middles):
+        w = style.trim_m
+        ends = [
+            _box_ends(left - w, left, flat - 0.03, flat, sill, head),
+            _box_ends(right, right + w, flat - 0.03, flat, sill, head),
+            _box_ends(left - w, right + w, flat - 0.04, flat, head, head + w),
+        ]
+        parts.append(mesh.boxes(np.concatenate(ends), Material.PLAIN, style.trim_tint * 0.9, style.key))
+    return parts
+
+
+def _box_ends(x0: Values, x1: Values, y0: Values, y1: Values, z0: Values, z1: Values) -> Values:
+    return np.stack([np.stack([x0, y0, z0], axis=-1), np.stack([x1, y1, z1], axis=-1)], axis=1)
+
+
+def _shop_front(rng: np.random.Generator, style: Style, width_m: float) -> list[Mesh]:
+    """Put a sign board over the shop windows, and perhaps an awning."""
+    top = style.base_m + style.floor_m
+    tint = DOOR_TINTS[rng.integers(len(DOOR_TINTS))] * rng.uniform(0.5, 2.0) + 0.02
+    parts = [mesh.bar([0.3, -0.1, top - 0.45], [width_m - 0.3, 0, top + 0.1], Material.SHOP, tint, rng.uniform(0, 99))]
+    if rng.random() < 0.5:
+        cloth = np.array([[0.3, 0.05, 0.04], [0.05, 0.12, 0.08], [0.45, 0.42, 0.36], [0.06, 0.08, 0.2]])[
+            rng.integers(4)
+        ]
+        awning = [
+            (0.4, -0.05, top - 0.45),
+            (width_m - 0.4, -0.05, top - 0.45),
+            (width_m - 0.4, -1.1, top - 0.95),
+            (0.4, -1.1, top - 0.95),
+        ]
+        parts.append(mesh.quads([awning], Material.CLOTH, cloth, rng.uniform(0, 99)))
+    return parts
+
+
+def _shell(rng: np.random.Generator, style: Style, width_m: float, depth_m: float, eaves: float) -> list[Mesh]:
+    """Build the side and back walls, the sides perhaps with windows."""
     side = [[(x, 0, 0), (x, depth_m, 0), (x, depth_m, eaves), (x, 0, eaves)] for x in (0.0, width_m)]
     back = _upright(0.0, width_m, 0.0, eaves, depth_m)
-    return [mesh.quads([*side, back], style.wall, style.wall_tint, style.key + 11)]
+    parts = [mesh.quads([*side, back], style.wall, style.wall_tint, style.key + 11)]
+    panes = []
+    for y in np.arange(2.2, depth_m - 2, 3.3):
+        for z in np.arange(style.base_m + 0.9, eaves - 1.6, style.floor_m):
+            low, high = z, z + style.window_m[1]
+            for x in (-0.015, width_m + 0.015):
+                panes.append([(x, y - 0.5, low), (x, y + 0.5, low), (x, y + 0.5, high), (x, y - 0.5, high)])
+    if panes and rng.random() < 0.6:
+        keys = rng.uniform(0, 1000, len(panes))
+        parts.append(mesh.quads(panes, Material.GLASS, style.trim_tint, keys, mesh.UNIT_PANE))
+    return parts
 
 
 def _gable_roof(rng: np.random.Generator, style: Style, width_m: float, depth_m: float, eaves: float) -> list[Mesh]:
@@ -169,7 +241,7 @@ def _gable_roof(rng: np.random.Generator, style: Style, width_m: float, depth_m:
     parts = [
         mesh.quads([front, rear], Material.ROOF, tint, style.key, uv),
         mesh.quads(gables, style.wall, style.wall_tint, style.key),
-        mesh.box([0, -hang - 0.06, low - 0.12], [width_m, -hang + 0.06, low], Material.PLAIN, [0.25, 0.24, 0.23]),
+        mesh.bar([0, -hang - 0.06, low - 0.12], [width_m, -hang + 0.06, low], Material.PLAIN, [0.25, 0.24, 0.23]),
     ]
     if rng.random() < 0.8:
         x = rng.uniform(1, width_m - 1)
@@ -182,19 +254,18 @@ def _gable_roof(rng: np.random.Generator, style: Style, width_m: float, depth_m:
     return parts
 
 
-def _dormer(
-    rng: np.random.Generator, style: Style, tint: npt.NDArray[np.float64], x: float, eaves: float, pitch: float
-) -> list[Mesh]:
+def _dormer(rng: np.random.Generator, style: Style, tint: Values, x: float, eaves: float, pitch: float) -> list[Mesh]:
     y, half, height = 0.7, 0.7, 1.5
     low = eaves + y * pitch
     back = y + height / pitch
+    front = [x - half, y, low - 0.3], [x + half, back, low + height]
+    lid = [x - half - 0.15, y - 0.2, low + height], [x + half + 0.15, back, low + height + 0.12]
     window = _upright(x - half + 0.12, x + half - 0.12, low + 0.25, low + height - 0.1, y - 0.02)
     return [
-        mesh.box([x - half, y, low - 0.3], [x + half, back, low + height], Material.PLASTER, style.wall_tint, style.key),
-        mesh.box([x - half - 0.15, y - 0.2, low + height], [x + half + 0.15, back, low + height + 0.12],
-                 Material.ROOF, tint, style.key),
-        mesh.quads([window], Material.GLASS, style.trim_tint, rng.uniform(0, 1000), [(0, 0), (1, 0), (1, 1), (0, 1)]),
-    ]  # fmt: skip
+        mesh.box(*front, Material.PLASTER, style.wall_tint, style.key),
+        mesh.box(*lid, Material.ROOF, tint, style.key),
+        mesh.quads([window], Material.GLASS, style.trim_tint, rng.uniform(0, 1000), mesh.UNIT_PANE),
+    ]
 
 
 def _balconies(rng: np.random.Generator, style: Style, width_m: float, floors: int) -> list[Mesh]:

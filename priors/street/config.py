@@ -42,6 +42,8 @@ class StreetConfig:
     """How high the sun stands."""
     sun_strength: float = 1.0
     """Direct light: 1 = clear day, 0.1 = overcast."""
+    sky_strength: float = 1.5
+    """Brightness of the sky; from about 1.3 on most of it is clipped to white."""
     cloud_cover: float = 0.4
     """Share of the sky that is cloud."""
     haze_m: float = 900.0
@@ -50,12 +52,16 @@ class StreetConfig:
     """Factor on all light before the camera's curve."""
     warmth: float = 0.0
     """Colour balance of the camera: > 0 redder, < 0 bluer."""
+    blur_px: float = 0.5
+    """Standard deviation of the lens's blur, pixels."""
     camera_height_m: float = 1.65
     """Height of the cameras above the road."""
     speed_mps: float = 10.0
     """Mean speed of the rig."""
     traffic: int = 3
     """Moving cars."""
+    walkers: int = 2
+    """Moving people; others stand still."""
 
     @classmethod
     def draw(cls, seed: int, length_m: float = 340.0) -> Self:
@@ -80,13 +86,16 @@ class StreetConfig:
             sun_azimuth_rad=side * rng.uniform(0.5, 2.6),
             sun_elevation_rad=rng.uniform(0.55, 1.05),
             sun_strength=rng.uniform(0.08, 0.3) if overcast else rng.uniform(0.8, 1.1),
+            sky_strength=rng.uniform(1.3, 2.4),
             cloud_cover=rng.uniform(0.8, 1.0) if overcast else rng.uniform(0.2, 0.6),
-            haze_m=rng.uniform(700.0, 2500.0),
-            exposure=rng.uniform(0.85, 1.2),
+            haze_m=rng.uniform(1200.0, 6000.0),
+            exposure=rng.uniform(0.6, 0.95),
             warmth=rng.uniform(-0.06, 0.06),
+            blur_px=rng.uniform(0.4, 0.65),
             camera_height_m=rng.uniform(1.6, 1.7),
             speed_mps=rng.uniform(8.0, 13.0),
             traffic=int(rng.integers(2, 5)),
+            walkers=int(rng.integers(0, 4)),
         )
 
     @property

@@ -54,8 +54,8 @@ def wall(rng: np.random.Generator, length_m: float) -> Mesh:
     height = rng.uniform(0.6, 2.0)
     material = [Material.BRICK, Material.PLASTER][rng.integers(2)]
     tint = [[0.36, 0.19, 0.13], [0.45, 0.43, 0.40]][rng.integers(2)]
-    cap = mesh.box([0, -0.05, height], [length_m, 0.3, height + 0.07], Material.KERB, [0.35, 0.33, 0.31])
-    return mesh.merge([mesh.box([0, 0, 0], [length_m, 0.25, height], material, tint, rng.uniform(0, 999)), cap])
+    cap = mesh.bar([0, -0.05, height], [length_m, 0.3, height + 0.07], Material.KERB, [0.35, 0.33, 0.31])
+    return mesh.merge([mesh.bar([0, 0, 0], [length_m, 0.25, height], material, tint, rng.uniform(0, 999)), cap])
 
 
 def fence(rng: np.random.Generator, length_m: float) -> Mesh:
@@ -66,5 +66,5 @@ def fence(rng: np.random.Generator, length_m: float) -> Mesh:
     tops = height + rng.normal(0, 0.01, len(x))
     wide = 0.5 * step
     pickets = [[(a, 0, 0), (a + wide, 0, 0), (a + wide, 0, t), (a, 0, t)] for a, t in zip(x, tops, strict=True)]
-    rails = [mesh.box([0, 0.02, z], [length_m, 0.06, z + 0.07], Material.PLAIN, tint) for z in (0.2, height - 0.25)]
+    rails = [mesh.bar([0, 0.02, z], [length_m, 0.06, z + 0.07], Material.PLAIN, tint) for z in (0.2, height - 0.25)]
     return mesh.merge([mesh.quads(pickets, Material.PLAIN, tint, rng.uniform(0, 99, len(x))), *rails])

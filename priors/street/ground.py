@@ -1,6 +1,7 @@
 """What lies flat: road, kerbs, pavements, lots, side streets."""
 
 import numpy as np
+import numpy.typing as npt
 
 from priors.street import mesh
 from priors.street.config import KERB_HEIGHT_M, KERB_M, StreetConfig
@@ -9,12 +10,12 @@ from priors.street.mesh import Mesh
 
 STEP_M = 2.0
 LOT_M = 70.0
-ASPHALT_TINT, SLAB_TINT, KERB_TINT = [0.115, 0.113, 0.112], [0.23, 0.222, 0.21], [0.30, 0.29, 0.275]
-GRASS_TINT = [0.085, 0.105, 0.035]
+ASPHALT_TINT, SLAB_TINT, KERB_TINT = [0.125, 0.123, 0.122], [0.22, 0.212, 0.20], [0.28, 0.27, 0.255]
+GRASS_TINT = [0.062, 0.078, 0.026]
 
 
 def strip(
-    s: tuple[float, float], t: tuple[float, float], z: tuple[float, float], material: int, tint: mesh.npt.ArrayLike,
+    s: tuple[float, float], t: tuple[float, float], z: tuple[float, float], material: int, tint: npt.ArrayLike,
     key: float = 0.0,
 ) -> Mesh:  # fmt: skip
     """Make a strip along the street from t[0] at height z[0] to t[1] at z[1], cut every STEP_M so that it can bend."""

@@ -4,8 +4,8 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 from scipy.spatial.transform import Rotation
-
 
 from priors import codecs
 from priors.street import rig
@@ -53,7 +53,7 @@ def oxts_lines(T_world_imu: Matrix, speed_mps: float) -> list[str]:
     return [f"{_row(line)} {rest}\n" for line in columns]
 
 
-def timestamps(times_s: Matrix) -> str:
+def timestamps(times_s: npt.NDArray[np.floating]) -> str:
     """Turn seconds (n,) into KITTI's time stamps."""
     stamps = [START_TIME + timedelta(seconds=float(time)) for time in times_s]
     return "".join(f"{stamp:%Y-%m-%d %H:%M:%S}.{stamp.microsecond * 1000:09d}\n" for stamp in stamps)

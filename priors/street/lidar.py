@@ -22,11 +22,11 @@ NOISE_M = 0.02
 def scan(
     scene: Scene,
     material: npt.NDArray[np.uint8],
-    tint: npt.NDArray[np.float32],
-    T_world_velo: Callable[[npt.NDArray[np.float64]], Matrix],
+    tint: npt.NDArray[np.floating],
+    T_world_velo: Callable[[npt.NDArray[np.floating]], Matrix],
     time_s: float,
     rng: np.random.Generator,
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float64]]:
+) -> tuple[npt.NDArray[np.floating], npt.NDArray[np.floating]]:
     """Measure one turn around a reference time.
 
     Args:

@@ -32,8 +32,23 @@ class Material(IntEnum):
     """Head and tail lights."""
     FAR = 18
     """Distant houses and hills."""
+    RIM = 19
+    """A wheel rim, uv -1..1."""
+    PLATE = 20
+    """A number plate, uv 0..1."""
+    SHOP = 21
+    """A shop's sign board or awning."""
+    CLOTH = 22
+    """Clothes and skin."""
 
 
+LAST_GROUND = Material.GRASS
+"""The materials up to this one lie flat."""
+CURVED = np.zeros(len(Material), np.bool_)
+"""What may have normals of its own."""
+CURVED[
+    [Material.PAINT, Material.CAR_GLASS, Material.METAL, Material.BARK, Material.PLAIN, Material.RUBBER, Material.CLOTH]
+] = True
 LASER_RETURN = np.ones(len(Material), np.float32)
 """Chance of an echo at normal incidence and short range, by material."""
 LASER_RETURN[[Material.GLASS, Material.CAR_GLASS]] = 0.15, 0.1

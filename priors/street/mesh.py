@@ -1,12 +1,15 @@
 """Triangles with what shading needs: surface coordinates in metres, material, colour and a key for its texture."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating]
+BAR_M = 2.5
+UNIT_PANE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+"""Surface coordinates of a pane that carries one picture."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,6 +20,8 @@ class Mesh:
     """(n, 3, 3) metres."""
     uv: Floats
     """(n, 3, 2) surface coordinates of the corners: metres, or 0..1 across a pane."""
+    normal: Floats
+    """(n, 3, 3) normals of the corners for shading, unit; 0 where the triangle is flat."""
     material: npt.NDArray[np.uint8]
     """(n,) index into materials.Material."""
     tint: Floats
@@ -30,13 +35,7 @@ class Mesh:
 
 def merge(parts: Sequence[Mesh]) -> Mesh:
     """Put meshes into one."""
-    return Mesh(
-        np.concatenate([part.corners for part in parts]),
-        np.concatenate([part.uv for part in parts]),
-        np.concatenate([part.material for part in parts]),
-        np.concatenate([part.tint for part in parts]),
-        np.concatenate([part.key for part in parts]),
-    )
+    return Mesh(*(np.concatenate([getattr(part, name) for part in parts]) for name in Mesh.__slots__))
 
 
 def quads(
@@ -45,6 +44,7 @@ def quads(
     tint: npt.ArrayLike,
     key: npt.ArrayLike = 0.0,
     uv: npt.ArrayLike | None = None,
+    normal: Floats | None = None,
 ) -> Mesh:
     """Make quads of corners (n, 4, 3) or (4, 3), given around the edge.
 
@@ -54,14 +54,17 @@ def quads(
         tint: (3,) or (n, 3) linear RGB.
         key: one number, or (n,).
         uv: (4, 2) or (n, 4, 2); default: the corners seen along the axis that each quad faces most.
+        normal: (n, 4, 3) for smooth shading; default: flat.
     """
     points = np.asarray(corners, dtype=np.float32).reshape(-1, 4, 3)
     n = len(points)
     places = facing_uv(points) if uv is None else np.broadcast_to(np.asarray(uv, np.float32), (n, 4, 2))
+    bent = np.zeros((n, 4, 3), np.float32) if normal is None else normal.astype(np.float32)
     halves = [0, 1, 2, 0, 2, 3]
     return Mesh(
         points[:, halves].reshape(-1, 3, 3),
         places[:, halves].reshape(-1, 3, 2).astype(np.float32),
+        bent[:, halves].reshape(-1, 3, 3),
         np.full(2 * n, material, np.uint8),
         np.repeat(np.broadcast_to(np.asarray(tint, np.float32), (n, 3)), 2, axis=0),
         np.repeat(np.broadcast_to(np.asarray(key, np.float32), (n,)), 2),
@@ -70,38 +73,72 @@ def quads(
 
 def facing_uv(points: Floats) -> Floats:
     """Return (n, 4, 2): the two coordinates other than the axis that each quad (n, 4, 3) faces most."""
-    normal = np.abs(np.cross(points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]))
+    a, b = points[:, 2] - points[:, 0], points[:, 3] - points[:, 1]
+    normal = np.abs(
+        np.stack(
+            [
+                a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+                a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+                a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+            ],
+            axis=1,
+        )
+    )
     axes = np.array([[1, 2], [0, 2], [0, 1]])[np.argmax(normal, axis=1)]
     return np.take_along_axis(points, axes[:, None, :], axis=2)
 
 
 def box(low: npt.ArrayLike, high: npt.ArrayLike, material: int, tint: npt.ArrayLike, key: float = 0.0) -> Mesh:
     """Make a box between two corners (3,), metres."""
-    (x0, y0, z0), (x1, y1, z1) = np.asarray(low, float), np.asarray(high, float)
-    p = [(x, y, z) for z in (z0, z1) for x, y in ((x0, y0), (x1, y0), (x1, y1), (x0, y1))]
-    faces = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
-    return quads([[p[i] for i in face] for face in faces], material, tint, key)
+    return boxes(np.stack([np.asarray(low, float), np.asarray(high, float)]), material, tint, key)
 
 
-def loft(rings: npt.ArrayLike, material: int, tint: npt.ArrayLike, key: float = 0.0, closed: bool = False) -> Mesh:
-    """Span quads between neighbouring rings (m, k, 3); closed joins each ring's last point with its first."""
-    points = np.asarray(rings, dtype=np.float32)
-    after = np.roll(points, -1, axis=1) if closed else points[:, 1:]
-    here = points if closed else points[:, :-1]
-    corners = np.stack([here[:-1], after[:-1], after[1:], here[1:]], axis=2)
-    return quads(corners.reshape(-1, 4, 3), material, tint, key)
+def boxes(ends: npt.ArrayLike, material: int, tint: npt.ArrayLike, key: float = 0.0) -> Mesh:
+    """Make boxes (n, 2, 3), each between two corners, metres."""
+    span = np.asarray(ends, np.float32).reshape(-1, 2, 3)
+    pick = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]])
+    p = np.stack([span[:, pick[:, axis], axis] for axis in range(3)], axis=-1)
+    faces = [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]]
+    return quads(p[:, faces].reshape(-1, 4, 3), material, tint, key)
 
 
-def tube(
-    start: npt.ArrayLike,
-    end: npt.ArrayLike,
-    radii: tuple[float, float],
+def bar(low: npt.ArrayLike, high: npt.ArrayLike, material: int, tint: npt.ArrayLike, key: float = 0.0) -> Mesh:
+    """Make a box that is long in x, cut every few metres so that it can follow a bent street."""
+    a, b = np.asarray(low, float), np.asarray(high, float)
+    cuts = np.linspace(a[0], b[0], max(1, int(np.ceil((b[0] - a[0]) / BAR_M))) + 1)
+    ends = np.stack([np.broadcast_to(a, (len(cuts) - 1, 3)), np.broadcast_to(b, (len(cuts) - 1, 3))], axis=1).copy()
+    ends[:, 0, 0], ends[:, 1, 0] = cuts[:-1], cuts[1:]
+    return boxes(ends, material, tint, key)
+
+
+def loft(
+    rings: npt.ArrayLike,
     material: int,
     tint: npt.ArrayLike,
     key: float = 0.0,
-    sides: int = 8,
+    uv: Floats | None = None,
+    smooth: bool = False,
 ) -> Mesh:
-    """Make an open, tapered tube from start to end (3,), metres; uv is (around, along) in metres."""
+    """Span quads between neighbouring rings (m, k, 3), with uv (m, k, 2); smooth shades them as one curved surface."""
+    points = np.asarray(rings, dtype=np.float32)
+    normal = None
+    if smooth:
+        across = np.cross(np.gradient(points, axis=0), np.gradient(points, axis=1))
+        normal = _cells(across / np.maximum(np.linalg.norm(across, axis=-1, keepdims=True), 1e-9))
+    return quads(_cells(points), material, tint, key, None if uv is None else _cells(uv), normal)
+
+
+def _cells(grid: npt.NDArray[np.floating]) -> Floats:
+    """Turn values at grid points (m, k, c) into those at the corners of its cells (n, 4, c)."""
+    corners = np.stack([grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]], axis=2)
+    return corners.reshape(-1, 4, grid.shape[-1]).astype(np.float32)
+
+
+def tube(
+    start: npt.ArrayLike, end: npt.ArrayLike, radii: tuple[float, float], material: int, tint: npt.ArrayLike,
+    key: float = 0.0, sides: int = 8,
+) -> Mesh:  # fmt: skip
+    """Make an open, tapered, smooth tube from start to end (3,), metres; uv is (around, along) in metres."""
     a, b = np.asarray(start, float), np.asarray(end, float)
     along = (b - a) / max(float(np.linalg.norm(b - a)), 1e-9)
     across = np.cross(along, [1.0, 0.0, 0.0] if abs(along[0]) < 0.9 else [0.0, 1.0, 0.0])
@@ -109,16 +146,15 @@ def tube(
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     circle = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * np.cross(along, across)
     rings = np.stack([a + radii[0] * circle, b + radii[1] * circle])
-    corners = np.stack([rings[0, :-1], rings[0, 1:], rings[1, 1:], rings[1, :-1]], axis=1)
     around, length = angle * max(radii), float(np.linalg.norm(b - a))
-    low, high = np.zeros(sides), np.full(sides, length)
-    uv = np.stack([np.stack([around[:-1], low], 1), np.stack([around[1:], low], 1),
-                   np.stack([around[1:], high], 1), np.stack([around[:-1], high], 1)], axis=1)  # fmt: skip
-    return quads(corners, material, tint, key, uv)
+    uv = np.stack([np.column_stack([around, np.full(sides + 1, z)]) for z in (0.0, length)])
+    return quads(_cells(rings), material, tint, key, _cells(uv), _cells(np.stack([circle, circle])))
 
 
-def disc(centre: npt.ArrayLike, axis: int, radius: float, material: int, tint: npt.ArrayLike, key: float = 0.0,
-         sides: int = 12) -> Mesh:  # fmt: skip
+def disc(
+    centre: npt.ArrayLike, axis: int, radius: float, material: int, tint: npt.ArrayLike, key: float = 0.0,
+    sides: int = 12,
+) -> Mesh:  # fmt: skip
     """Make a disc that faces along a coordinate axis; uv is -1..1 across it."""
     angle = np.linspace(0, 2 * np.pi, sides + 1)
     rim = np.zeros((sides + 1, 3))
@@ -133,11 +169,12 @@ def disc(centre: npt.ArrayLike, axis: int, radius: float, material: int, tint: n
 def place(mesh: Mesh, position: npt.ArrayLike, yaw_rad: float = 0.0, scale: float = 1.0, key: float = 0.0) -> Mesh:
     """Turn a mesh about z, scale it and move it; its texture keeps its place on it, shifted by key."""
     cos, sin = np.cos(yaw_rad), np.sin(yaw_rad)
-    turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]], dtype=np.float32)
-    corners = (mesh.corners * np.float32(scale)) @ turn.T + np.asarray(position, np.float32)
-    return Mesh(corners.astype(np.float32), mesh.uv, mesh.material, mesh.tint, mesh.key + np.float32(key))
+    turn = np.array([[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]], dtype=np.float32)
+    corners = (mesh.corners @ turn) * np.float32(scale) + np.asarray(position, np.float32)
+    return replace(mesh, corners=corners, normal=mesh.normal @ turn, key=mesh.key + np.float32(key))
 
 
 def mirror(mesh: Mesh, side: int) -> Mesh:
     """Turn a mesh built for the left side (y > 0) into one for the given side (1 = left, -1 = right)."""
-    return Mesh(mesh.corners * np.array([1, side, 1], np.float32), mesh.uv, mesh.material, mesh.tint, mesh.key)
+    flip = np.array([1, side, 1], np.float32)
+    return replace(mesh, corners=mesh.corners * flip, normal=mesh.normal * flip)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-Floats = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.floating]
 SIDE = 512
 CELLS = 64
 TURN = 2.39996
@@ -42,7 +42,7 @@ def sample(u: Floats, v: Floats) -> Floats:
     maps[0, :n], maps[1, :n] = np.mod(u, np.float32(SIDE)), np.mod(v, np.float32(SIDE))
     grid = maps.reshape(2, rows, width)
     read = cv2.remap(tile(), grid[0], grid[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
-    return read.reshape(-1)[:n]
+    return np.asarray(read.reshape(-1)[:n], np.float32)
 
 
 def octaves(

@@ -13,8 +13,8 @@ LEAF_TINTS = np.array(
 
 
 def leaves(
-    rng: np.random.Generator, centres: npt.NDArray[np.float64], outward: npt.NDArray[np.float64], size_m: float,
-    tint: npt.NDArray[np.float64], shade: npt.NDArray[np.float64],
+    rng: np.random.Generator, centres: npt.NDArray[np.floating], outward: npt.NDArray[np.floating], size_m: float,
+    tint: npt.NDArray[np.floating], shade: npt.NDArray[np.floating],
 ) -> Mesh:  # fmt: skip
     """Put a crumpled quad at every centre (n, 3), facing roughly outward (n, 3); shade (n,) dims its colour."""
     n = len(centres)
@@ -31,39 +31,41 @@ def leaves(
     return mesh.quads(quad, Material.LEAF, colour, rng.uniform(0, 100, n), corner * size)
 
 
-def crown(rng: np.random.Generator, centre: npt.NDArray[np.float64], radii: npt.NDArray[np.float64], count: int,
-          size_m: float, tint: npt.NDArray[np.float64], blobs: int = 14) -> Mesh:  # fmt: skip
+def crown(rng: np.random.Generator, centre: npt.NDArray[np.floating], radii: npt.NDArray[np.floating], count: int,
+          size_m: float, tint: npt.NDArray[np.floating], blobs: int = 14) -> Mesh:  # fmt: skip
     """Build a crown from blobs of leaves that are scattered through an ellipsoid."""
     direction = rng.normal(0, 1, (blobs, 3))
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     middle = direction * rng.uniform(0.25, 0.8, (blobs, 1)) * radii
-    size = rng.uniform(0.28, 0.5, (blobs, 1)) * radii
+    size = rng.uniform(0.2, 0.5, (blobs, 1)) * radii
     which = rng.integers(blobs, size=count)
+    hue = rng.uniform(0.75, 1.25, (blobs, 1)) * rng.uniform(0.9, 1.1, (blobs, 3))
     ball = rng.normal(0, 1, (count, 3))
     ball /= np.linalg.norm(ball, axis=1, keepdims=True)
     depth = rng.uniform(0, 1, (count, 1)) ** 0.4
     place = middle[which] + ball * depth * size[which]
     inside = np.linalg.norm(place / radii, axis=1)
-    return leaves(rng, centre + place, ball, size_m, tint, np.clip(0.45 + 0.6 * inside, 0.4, 1.1))
+    return leaves(rng, centre + place, ball, size_m, tint * hue[which], np.clip(0.45 + 0.6 * inside, 0.4, 1.1))
 
 
-def tree(rng: np.random.Generator) -> Mesh:
-    """Build a street tree that stands at the origin: trunk, branches, crown."""
+def tree(rng: np.random.Generator, leaf_m: float = 0.115) -> Mesh:
+    """Build a tree that stands at the origin: trunk, branches, and a crown of leaves of a half size."""
     height = rng.uniform(5.5, 12.0)
     clear = rng.uniform(1.9, 2.8)
-    radius = rng.uniform(0.10, 0.22) * height / 8
-    spread = height * rng.uniform(0.22, 0.36)
+    radius = rng.uniform(0.10, 0.20) * height / 8
+    spread = height * rng.uniform(0.20, 0.34)
     tint = LEAF_TINTS[rng.choice(len(LEAF_TINTS), p=[0.35, 0.25, 0.25, 0.1, 0.05])]
     centre = np.array([0, 0, 0.5 * (clear + height)])
-    lean = rng.normal(0, 0.12, 2)
-    fork = np.array([*lean, clear * 1.1])
+    radii = np.array([spread, spread, 0.5 * (height - clear)])
+    fork = np.array([*rng.normal(0, 0.12, 2), clear * 1.1])
     bark = np.array([0.10, 0.085, 0.07]) * rng.uniform(0.6, 1.4)
     parts = [mesh.tube([0, 0, -0.2], fork, (radius * 1.2, radius * 0.9), Material.BARK, bark, rng.uniform(0, 99), 9)]
-    for _ in range(7):
-        tip = centre + rng.normal(0, 0.45, 3) * [spread, spread, 0.4 * (height - clear)]
-        parts.append(mesh.tube(fork, tip, (radius * 0.55, radius * 0.12), Material.BARK, bark, rng.uniform(0, 99), 6))
-    radii = np.array([spread, spread, 0.5 * (height - clear)])
-    parts.append(crown(rng, centre, radii, int(260 * height), 0.16, tint, int(rng.integers(10, 22))))
+    for _ in range(8):
+        out = rng.normal(0, 1, 3)
+        tip = centre + rng.uniform(0.3, 0.8) * out / np.linalg.norm(out) * radii
+        parts.append(mesh.tube(fork, tip, (radius * 0.5, radius * 0.08), Material.BARK, bark, rng.uniform(0, 99), 5))
+    count = int(3.0 * height * spread / leaf_m**2)
+    parts.append(crown(rng, centre, radii, count, leaf_m, tint, int(rng.integers(12, 26))))
     return mesh.merge(parts)
 
 
@@ -71,12 +73,12 @@ def bush(rng: np.random.Generator) -> Mesh:
     """Build a bush that stands at the origin."""
     radii = np.array([rng.uniform(0.5, 1.3), rng.uniform(0.5, 1.2), rng.uniform(0.5, 1.2)])
     tint = LEAF_TINTS[rng.integers(len(LEAF_TINTS))]
-    return crown(rng, np.array([0, 0, 0.8 * radii[2]]), radii, 900, 0.09, tint, 9)
+    return crown(rng, np.array([0, 0, 0.8 * radii[2]]), radii, 1200, 0.06, tint, 9)
 
 
 def hedge(rng: np.random.Generator, length_m: float, height_m: float, depth_m: float = 0.8) -> Mesh:
     """Build a hedge from x = 0 to its length, y = 0 to its depth: leaves on a dark core."""
-    count = int(130 * length_m * (2 * height_m + depth_m))
+    count = int(110 * length_m * (2 * height_m + depth_m))
     place = rng.uniform(0, 1, (count, 3)) * [length_m, depth_m, height_m]
     face = rng.choice(3, size=count, p=[0.55, 0.1, 0.35])
     outward = np.zeros((count, 3))
@@ -85,5 +87,5 @@ def hedge(rng: np.random.Generator, length_m: float, height_m: float, depth_m: f
     place[face == 0, 1], place[face == 1, 1] = bumps[face == 0], depth_m + bumps[face == 1]
     place[face == 2, 2] = height_m + bumps[face == 2]
     tint = LEAF_TINTS[rng.integers(3)] * rng.uniform(0.7, 1.2)
-    core = mesh.box([0, 0.15, 0], [length_m, depth_m - 0.1, height_m - 0.15], Material.LEAF, tint * 0.3, 3.0)
-    return mesh.merge([core, leaves(rng, place, outward, 0.075, tint, rng.uniform(0.6, 1.1, count))])
+    core = mesh.bar([0, 0.15, 0], [length_m, depth_m - 0.1, height_m - 0.15], Material.LEAF, tint * 0.5, 3.0)
+    return mesh.merge([core, leaves(rng, place, outward, 0.07, tint, rng.uniform(0.6, 1.1, count))])

@@ -10,8 +10,10 @@ from embreex.rtcore_scene import EmbreeScene
 
 from priors.street.mesh import Mesh
 
-Floats = npt.NDArray[np.float32]
-MISS = -1
+Floats = npt.NDArray[np.floating]
+Times = npt.NDArray[np.floating]
+WANDER_M = 3.0
+"""How far a body may be from its middle place within one turn of the scanner, metres."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +36,7 @@ class Body:
 
     mesh: Mesh
     """In its own frame: x forward, y left, z up."""
-    pose: Callable[[npt.NDArray[np.float64]], npt.NDArray[np.float64]]
+    pose: Callable[[Times], Times]
     """T_world_body (n, 4, 4) at times (n,)."""
 
 
@@ -47,9 +49,10 @@ class Scene:
         starts = np.cumsum([len(still), *(len(body.mesh) for body in bodies)])
         self._starts = starts.astype(np.int32)
 
-    def cast(self, origins: Floats, directions: Floats, time_s: npt.NDArray[np.float64] | float) -> Hits:
-        """Find what rays (n, 3) meet first at their times (n,), or at one time."""
-        found = self._still.run(origins, directions, query="INTERSECT", output=True)
+    def cast(self, origins: Floats, directions: Floats, time_s: Times | float) -> Hits:
+        """Find what rays (n, 3) from (n, 3) or one origin (1, 3) meet first at their times (n,), or at one time."""
+        starts = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
+        found = self._still.run(starts, directions, query="INTERSECT", output=True)
         distance = np.where(found["primID"] >= 0, found["tfar"], np.float32(np.inf))
         triangle, normal = found["primID"], found["Ng"]
         weights = np.stack([found["u"], found["v"]], axis=1)
@@ -57,7 +60,7 @@ class Scene:
             near, T_world_body = _near(body, origins, directions, time_s, distance)
             if near.size == 0:
                 continue
-            inside = _into(T_world_body, origins[near], directions[near])
+            inside = _into(T_world_body, starts[near], directions[near])
             seen = scene.run(*inside, query="INTERSECT", output=True)
             nearer = (seen["primID"] >= 0) & (seen["tfar"] < distance[near])
             won = near[nearer]
@@ -67,15 +70,21 @@ class Scene:
             normal[won] = np.einsum("nij,nj->ni", np.broadcast_to(rotation, (len(won), 3, 3)), seen["Ng"][nearer])
         return Hits(distance, triangle, weights, _towards(normal, directions))
 
-    def blocked(self, origins: Floats, direction: Floats, time_s: float) -> npt.NDArray[np.bool_]:
-        """Tell which points (n, 3) have something between them and a light far away along direction (3,)."""
+    def blocked_still(self, origins: Floats, direction: Floats) -> npt.NDArray[np.bool_]:
+        """Tell which points (n, 3) have something still between them and a light far away along direction (3,)."""
         directions = np.ascontiguousarray(np.broadcast_to(direction, origins.shape))
         dark: npt.NDArray[np.bool_] = self._still.run(origins, directions, query="OCCLUDED") >= 0
+        return dark
+
+    def blocked(self, origins: Floats, direction: Floats, time_s: float) -> npt.NDArray[np.bool_]:
+        """Tell the same with the moving bodies at a time taken in."""
+        dark = self.blocked_still(origins, direction)
         for scene, body in self._bodies:
-            near, T_world_body = _near(body, origins, directions, time_s, None)
+            near, T_world_body = _near(body, origins, direction[None], time_s, None)
             near = near[~dark[near]]
             if near.size:
-                dark[near] = scene.run(*_into(T_world_body, origins[near], directions[near]), query="OCCLUDED") >= 0
+                directions = np.broadcast_to(direction, (near.size, 3))
+                dark[near] = scene.run(*_into(T_world_body, origins[near], directions), query="OCCLUDED") >= 0
         return dark
 
 
@@ -88,25 +97,32 @@ def _build(mesh: Mesh) -> EmbreeScene:
 
 
 def _near(
-    body: Body, origins: Floats, directions: Floats, time_s: npt.NDArray[np.float64] | float, distance: Floats | None
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float32]]:
+    body: Body, origins: Floats, directions: Floats, time_s: Times | float, distance: Floats | None
+) -> tuple[npt.NDArray[np.int64], Floats]:
     """Return the rays that pass the body's bounding ball before `distance`, and its poses for them (or its one)."""
     low, high = body.mesh.corners.min(axis=(0, 1)), body.mesh.corners.max(axis=(0, 1))
     centre, radius = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
     times = np.atleast_1d(np.asarray(time_s, dtype=np.float64))
-    middle_pose = body.pose(times[[len(times) // 2]])[0]
-    slack = 3.0 if len(times) > 1 else 0.0  # how far it may be from its middle place within one turn of the scanner
-    middle = (middle_pose[:3, :3] @ centre + middle_pose[:3, 3]).astype(np.float32)
-    offset = middle - origins
-    along = np.einsum("ni,ni->n", offset, directions)
-    length2 = np.einsum("ni,ni->n", directions, directions)
-    apart2 = np.einsum("ni,ni->n", offset, offset) - along * along / length2
-    near = (apart2 < (radius + slack) ** 2) & (along > -radius * np.sqrt(length2))
+    T_world_middle = body.pose(times[[len(times) // 2]])[0]
+    if len(times) > 1:
+        radius += WANDER_M
+    offset = (T_world_middle[:3, :3] @ centre + T_world_middle[:3, 3]).astype(np.float32) - origins
+    along, length2 = _dot(offset, directions), _dot(directions, directions)
+    apart2 = _dot(offset, offset) - along * along / length2
+    reach = radius * np.sqrt(length2)
+    near = (apart2 < radius**2) & (along > -reach)
     if distance is not None:
-        near &= along < distance * length2 + (radius + slack) * np.sqrt(length2)
+        near &= along < distance * length2 + reach
     chosen = np.flatnonzero(near)
-    pose = body.pose(times[chosen]) if len(times) > 1 else middle_pose[None]
+    pose = body.pose(times[chosen]) if len(times) > 1 else T_world_middle[None]
     return chosen, pose.astype(np.float32)
+
+
+def _dot(a: Floats, b: Floats) -> Floats:
+    """Return the products (n,) of vectors (n, 3), where either may be a single one (1, 3)."""
+    if len(a) == 1:
+        return b @ a[0]
+    return a @ b[0] if len(b) == 1 else np.einsum("ni,ni->n", a, b)
 
 
 def _into(T_world_body: Floats, origins: Floats, directions: Floats) -> tuple[Floats, Floats]:

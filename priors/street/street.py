@@ -3,6 +3,7 @@
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from priors import geometry
 from priors.street import lidar, rig
@@ -13,8 +14,8 @@ from priors.street.scene import Scene
 from priors.street.world import World
 from priors.types import Camera, FloatMap, Image, Mask, Matrix
 
+Floats = npt.NDArray[np.floating]
 FRAME_S = 0.1
-LEFT, RIGHT, LASER = 2, 3, 9
 
 
 class Street:
@@ -35,7 +36,7 @@ class Street:
         T: Matrix = self.ego.T_world_rig(time_s)[0] @ geometry.invert(rig.FACING)
         return T
 
-    def T_world_velo(self, time_s: Matrix) -> Matrix:
+    def T_world_velo(self, time_s: Floats) -> Matrix:
         """Return the LiDAR's poses (n, 4, 4) on the rig's drive at times (n,)."""
         T: Matrix = self.ego.T_world_rig(time_s) @ geometry.invert(rig.FACING) @ rig.T_left_velo()
         return T
@@ -53,7 +54,7 @@ class Street:
         right = self.view(rig.right_of(T_world_cam), camera, time_s, 2 * noise_seed + 1)
         return left.image, right.image, left.depth_m, left.sky
 
-    def sweep(self, time_s: float, noise_seed: int = 0) -> tuple[np.ndarray, np.ndarray]:  # type: ignore[type-arg]
+    def sweep(self, time_s: float, noise_seed: int = 0) -> tuple[Floats, Floats]:
         """Measure one LiDAR turn on the rig's drive: points (n, 4) x y z reflectance, times (n,); see lidar.scan."""
         rng = np.random.default_rng([self.config.seed, 8, noise_seed])
         material, tint = self._renderer.surfaces()

@@ -1,29 +1,35 @@
 """The world: blocks of houses, gardens and parks along a bent street, parked cars, furniture and traffic."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 
-from priors.street import buildings, cars, furniture, ground, mesh, plants
+from priors.street import buildings, cars, furniture, ground, mesh, people, plants
 from priors.street.config import KERB_HEIGHT_M, KERB_M, StreetConfig
 from priors.street.materials import Material
 from priors.street.mesh import Mesh
 from priors.street.path import BEHIND_M, Path
 from priors.street.scene import Body
 
+Values = npt.NDArray[np.floating]
 PROTOTYPES = 7
 GAP_M = 9.0
+FINE_LEAVES_M = 16.0
+CHUNK = 100_000
+HILL_TINT = [0.05, 0.07, 0.04]
 
 
 class World:
-    """A still mesh in world coordinates and the cars that drive through it."""
+    """A still mesh in world coordinates and the cars and people that move through it."""
 
     def __init__(self, config: StreetConfig) -> None:
         self.config = config
         self.path = Path(config)
         rng = np.random.default_rng([config.seed, 4])
         self._trees = [plants.tree(rng) for _ in range(PROTOTYPES)]
+        self._far_trees = [plants.tree(rng, 0.2) for _ in range(PROTOTYPES)]
         self._bushes = [plants.bush(rng) for _ in range(4)]
         self._cars = [cars.car(rng) for _ in range(14)]
         parts = [ground.road(config, (-BEHIND_M, config.length_m + 40))]
@@ -34,8 +40,13 @@ class World:
         self.bodies = self._traffic(rng)
 
     def _bend(self, straight: Mesh) -> Mesh:
-        corners = self.path.bend(straight.corners).astype(np.float32)
-        return Mesh(corners, straight.uv, straight.material, straight.tint, straight.key)
+        parts = range(0, len(straight), CHUNK)
+        corners = [self.path.bend(straight.corners[i : i + CHUNK]).astype(np.float32) for i in parts]
+        heading = self.path.heading_rad(straight.corners[:, 0, 0]).astype(np.float32)[:, None]
+        cos, sin = np.cos(heading), np.sin(heading)
+        x, y, z = np.moveaxis(straight.normal, -1, 0)
+        normal = np.stack([x * cos - y * sin, x * sin + y * cos, z], axis=-1)
+        return replace(straight, corners=np.concatenate(corners), normal=normal)
 
     def _side(self, side: int) -> list[Mesh]:
         """Build one side of the street, block by block; each block has its own seed."""
@@ -75,11 +86,13 @@ class World:
 
     def _front_garden(self, rng: np.random.Generator, side: int, s: float, width: float) -> list[Mesh]:
         """Close a garden off towards the pavement, with something green behind."""
-        make = rng.choice([furniture.wall, furniture.fence, plants.hedge], p=[0.4, 0.25, 0.35])
-        length = width * float(rng.uniform(0.6, 0.95))
-        border = (
-            make(rng, length) if make is not plants.hedge else plants.hedge(rng, length, float(rng.uniform(0.8, 1.7)))
-        )
+        length, kind = width * float(rng.uniform(0.6, 0.95)), rng.random()
+        if kind < 0.4:
+            border = furniture.wall(rng, length)
+        elif kind < 0.65:
+            border = furniture.fence(rng, length)
+        else:
+            border = plants.hedge(rng, length, float(rng.uniform(0.8, 1.7)))
         front = self.config.front_m(side)
         parts = [self._put(border, s, front + 0.1, side)]
         for _ in range(int(rng.integers(0, 3))):
@@ -106,7 +119,9 @@ class World:
         return parts
 
     def _tree(self, rng: np.random.Generator, side: int, s: float, t: float, scale: float = 1.0) -> Mesh:
-        proto = self._trees[rng.integers(len(self._trees))]
+        """Plant a tree; what is far from the road gets larger and fewer leaves."""
+        kinds = self._trees if t < FINE_LEAVES_M else self._far_trees
+        proto = kinds[rng.integers(len(kinds))]
         turned = mesh.place(proto, [0, 0, 0], rng.uniform(0, 6.28), scale * rng.uniform(0.8, 1.2), rng.uniform(0, 99))
         return self._put(turned, s, t, side)
 
@@ -131,6 +146,10 @@ class World:
                     parts.append(self._tree(rng, side, s + rng.normal(0, 0.6), edge + 0.2, 0.85))
         for s in np.arange(start + rng.uniform(2, 12), end, rng.uniform(24, 34)):
             parts.append(self._put(furniture.lamp_post(rng), float(s), edge, side))
+        for _ in range(rng.poisson(0.05 * (end - start))):
+            walker = mesh.place(people.person(rng), [0, 0, 0], np.pi * rng.integers(2) + rng.normal(0, 0.3))
+            t = rng.uniform(edge + 0.4, max(edge + 0.5, config.front_m(side) - 0.5))
+            parts.append(self._put(walker, rng.uniform(start, end), t, side))
         for make, share in ((furniture.sign, 0.02), (furniture.bollard, 0.03), (furniture.bin_, 0.025)):
             for _ in range(rng.poisson(share * (end - start))):
                 t = edge - 0.1 if make is not furniture.bin_ else config.front_m(side) - 0.4
@@ -153,18 +172,18 @@ class World:
                     [s, side * t, -4], [s + w, side * t + rng.uniform(8, 20), h], Material.FAR, tint, rng.uniform(0, 99)
                 )
             )
-        s = np.arange(-900, self.config.length_m + 810, 30.0)
+        x = np.arange(-900, self.config.length_m + 810, 30.0)
         for side in (-1, 1):
-            parts.append(_ridge(rng, s, side * 880.0))
-        t = np.arange(-900, 901, 30.0)
-        height = 14 + 10 * np.sin(t / 170 + rng.uniform(0, 6)) + 6 * np.sin(t / 61) + rng.uniform(0, 5, len(t))
-        x = self.config.length_m + 780
-        crest = np.stack([np.stack([np.full_like(t, x), t, z], axis=1) for z in (np.full_like(t, -5), height)])
-        parts.append(mesh.loft(crest, Material.FAR, [0.05, 0.07, 0.04], 9.0))
+            parts.append(_ridge(rng, x, side * 880.0))
+        y = np.arange(-900, 901, 30.0)
+        height = 14 + 10 * np.sin(y / 170 + rng.uniform(0, 6)) + 6 * np.sin(y / 61) + rng.uniform(0, 5, len(y))
+        end = np.full_like(y, self.config.length_m + 780)
+        crest = np.stack([np.stack([end, y, z], axis=1) for z in (np.full_like(y, -5), height)])
+        parts.append(mesh.loft(crest, Material.FAR, HILL_TINT, 9.0))
         return parts
 
     def _traffic(self, rng: np.random.Generator) -> list[Body]:
-        """Set cars going: one ahead in the rig's lane, the others oncoming."""
+        """Set cars going, one ahead in the rig's lane, the others oncoming, and people walking."""
         config, bodies = self.config, []
         for number in range(config.traffic):
             vehicle = cars.car(rng)
@@ -173,19 +192,24 @@ class World:
             start = float(rng.uniform(14, 30)) if ahead else float(rng.uniform(25, 60)) + 45.0 * (number - 1)
             lane = -0.5 * config.lane_m if config.lanes == 2 else -config.lane_m
             t = lane + float(rng.normal(0, 0.1)) if ahead else -lane + float(rng.normal(0, 0.1))
-            bodies.append(Body(vehicle, partial(_driving, self.path, start, speed, t)))
+            bodies.append(Body(vehicle, partial(_moving, self.path, start, speed, t, 0.0)))
+        for _ in range(config.walkers):
+            side, speed = float(rng.choice([-1, 1])), float(rng.uniform(1.0, 1.6)) * float(rng.choice([-1, 1]))
+            t = side * (config.kerb_m(int(side)) + KERB_M + 0.9)
+            pose = partial(_moving, self.path, float(rng.uniform(8, 60)), speed, t, KERB_HEIGHT_M)
+            bodies.append(Body(people.person(rng), pose))
         return bodies
 
 
-def _driving(
-    path: Path, start_m: float, speed_mps: float, t_m: float, time_s: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
-    """Return T_world_body (n, 4, 4) of a car in its lane at times (n,)."""
+def _moving(path: Path, start_m: float, speed_mps: float, t_m: float, up_m: float, time_s: Values) -> Values:
+    """Return T_world_body (n, 4, 4) at times (n,) of what keeps to one line along the street."""
     s = start_m + speed_mps * time_s
-    return path.pose(s, np.full_like(s, t_m), np.pi if speed_mps < 0 else 0.0)
+    poses = path.pose(s, np.full_like(s, t_m), np.pi if speed_mps < 0 else 0.0)
+    poses[:, 2, 3] += up_m
+    return poses
 
 
-def _ridge(rng: np.random.Generator, s: npt.NDArray[np.float64], t: float) -> Mesh:
+def _ridge(rng: np.random.Generator, s: Values, t: float) -> Mesh:
     height = 18 + 9 * np.sin(s / 190 + rng.uniform(0, 6)) + 5 * np.sin(s / 67) + rng.uniform(0, 4, len(s))
     crest = np.stack([np.stack([s, np.full_like(s, t), z], axis=1) for z in (np.full_like(s, -5), height)])
-    return mesh.loft(crest, Material.FAR, [0.05, 0.07, 0.04], 8.0)
+    return mesh.loft(crest, Material.FAR, HILL_TINT, 8.0)

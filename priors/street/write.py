@@ -15,6 +15,7 @@ from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from priors import codecs, geometry
 from priors.errors import DataError
@@ -23,8 +24,9 @@ from priors.street.config import StreetConfig
 from priors.street.street import FRAME_S, Street
 from priors.types import FloatMap, Matrix
 
+Floats = npt.NDArray[np.floating]
 DATE = "street"
-VERSION = 1
+VERSION = 2
 """Counts changes of what a seed looks like: a drive begun by another version is not continued."""
 SIGHT_M = 330.0
 CAMERAS = ("image_02", "image_03")
@@ -136,7 +138,7 @@ def _write_frame(drive: Path, street: Street, number: int, size: tuple[int, int]
 
 
 def _project(
-    street: Street, xyz_m: FloatMap, seconds: Matrix, time_s: float, T_world_cam: Matrix, size: tuple[int, int]
+    street: Street, xyz_m: Floats, seconds: Floats, time_s: float, T_world_cam: Matrix, size: tuple[int, int]
 ) -> FloatMap:
     """Put a sweep into a camera's image, every point moved by the rig's true motion since its own moment."""
     turns, which = np.unique(seconds, return_inverse=True)

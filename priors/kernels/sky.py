@@ -1,0 +1,139 @@
+"""Loops of the sky mask: block means of the image, growth along smooth paths, refinement at full resolution."""
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit
+
+from priors.types import FloatMap, Image, Mask
+
+
+@njit(cache=True, nogil=True)
+def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap]:
+    """Average blocks of factor x factor pixels of an RGB image; blocks at the right and bottom edge may be smaller.
+
+    Returns:
+        colour (rows, columns, 3) in [0, 1] and grey's standard deviation in the block (rows, columns).
+    """
+    height, width, _ = image.shape
+    rows, columns = (height + factor - 1) // factor, (width + factor - 1) // factor
+    colour = np.empty((rows, columns, 3), np.float32)
+    spread_ = np.empty((rows, columns), np.float32)
+    for i in range(rows):
+        top, bottom = i * factor, min(height, (i + 1) * factor)
+        for j in range(columns):
+            left, right = j * factor, min(width, (j + 1) * factor)
+            red, green, blue, total, squares = 0, 0, 0, 0, 0
+            for y in range(top, bottom):
+                for x in range(left, right):
+                    r, g, b = int(image[y, x, 0]), int(image[y, x, 1]), int(image[y, x, 2])
+                    grey = (77 * r + 150 * g + 29 * b) >> 8
+                    red += r
+                    green += g
+                    blue += b
+                    total += grey
+                    squares += grey * grey
+            count = (bottom - top) * (right - left)
+            colour[i, j, 0] = red / (255.0 * count)
+            colour[i, j, 1] = green / (255.0 * count)
+            colour[i, j, 2] = blue / (255.0 * count)
+            variance = squares / count - (total / count) ** 2
+            spread_[i, j] = np.sqrt(max(variance, 0.0)) / 255.0
+    return colour, spread_
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, step: float) -> FloatMap:
+    """Spread costs along the cheapest 8-connected paths: a step costs `step` + slope * |change of colour|.
+
+    Two forward and two backward raster sweeps: exact but for paths that wind more often than that.
+
+    Args:
+        start: (height, width) cost of starting at a pixel.
+        colour: (height, width, 3).
+        slope: cost of a unit of colour change, summed over the channels.
+        step: cost of a step on even ground.
+    """
+    height, width = start.shape
+    cost = start.copy()
+    for sweep in range(4):
+        sign = 1 if sweep % 2 == 0 else -1
+        for i in range(height):
+            y = i if sign > 0 else height - 1 - i
+            for j in range(width):
+                x = j if sign > 0 else width - 1 - j
+                best = cost[y, x]
+                for k in range(4):
+                    yy = y - sign if k < 3 else y
+                    xx = x + sign * (k - 1) if k < 3 else x - sign
+                    if yy < 0 or yy >= height or xx < 0 or xx >= width or cost[yy, xx] >= best:
+                        continue
+                    change = (
+                        abs(colour[y, x, 0] - colour[yy, xx, 0])
+                        + abs(colour[y, x, 1] - colour[yy, xx, 1])
+                        + abs(colour[y, x, 2] - colour[yy, xx, 2])
+                    )
+                    best = min(best, cost[yy, xx] + np.float32(step) + np.float32(slope) * change)
+                cost[y, x] = best
+    return cost
+
+
+@njit(cache=True, nogil=True)
+def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArray[np.float32]:
+    """Solve the guided filter's 3x3 systems by Cramer's rule.
+
+    Args:
+        moments: (13, rows, columns) local means of r, g, b, t, rr, rg, rb, gg, gb, bb, rt, gt, bt.
+        smoothing: added to the variances.
+
+    Returns:
+        (rows, columns, 4): a for r, g, b, then b of t = a . colour + b.
+    """
+    _, rows, columns = moments.shape
+    model = np.empty((rows, columns, 4), np.float32)
+    for i in range(rows):
+        for j in range(columns):
+            m = moments[:, i, j].astype(np.float64)
+            r, g, b, t = m[0], m[1], m[2], m[3]
+            rr, rg, rb = m[4] - r * r + smoothing, m[5] - r * g, m[6] - r * b
+            gg, gb, bb = m[7] - g * g + smoothing, m[8] - g * b, m[9] - b * b + smoothing
+            rt, gt, bt = m[10] - r * t, m[11] - g * t, m[12] - b * t
+            c0, c1, c2 = gg * bb - gb * gb, gb * rb - rg * bb, rg * gb - gg * rb
+            scale = 1 / (rr * c0 + rg * c1 + rb * c2)
+            a0 = (c0 * rt + c1 * gt + c2 * bt) * scale
+            a1 = (c1 * rt + (rr * bb - rb * rb) * gt + (rg * rb - rr * gb) * bt) * scale
+            a2 = (c2 * rt + (rg * rb - rr * gb) * gt + (rr * gg - rg * rg) * bt) * scale
+            model[i, j, 0], model[i, j, 1], model[i, j, 2] = a0, a1, a2
+            model[i, j, 3] = t - a0 * r - a1 * g - a2 * b
+    return model
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> Mask:
+    """Evaluate a blockwise linear model at every pixel: a . colour + b > 0.5, coefficients interpolated bilinearly.
+
+    Args:
+        image: (height, width, 3).
+        model: (rows, columns, 4): a for red, green and blue in [0, 1], then b; rows and columns as `shrink` gives them.
+        factor: the blocks' side, pixels.
+    """
+    height, width, _ = image.shape
+    rows, columns, _ = model.shape
+    mask = np.empty((height, width), np.bool_)
+    line = np.empty((columns, 4), np.float32)
+    scale = np.float32(1 / 255)
+    for y in range(height):
+        v = min(max((y + 0.5) / factor - 0.5, 0.0), rows - 1.0)
+        i = min(int(v), max(rows - 2, 0))
+        below, f = min(i + 1, rows - 1), np.float32(v - i)
+        for j in range(columns):
+            for c in range(4):
+                line[j, c] = model[i, j, c] + f * (model[below, j, c] - model[i, j, c])
+        for x in range(width):
+            u = min(max((x + 0.5) / factor - 0.5, 0.0), columns - 1.0)
+            j = min(int(u), max(columns - 2, 0))
+            right, f = min(j + 1, columns - 1), np.float32(u - j)
+            value = line[j, 3] + f * (line[right, 3] - line[j, 3])
+            for c in range(3):
+                value += (line[j, c] + f * (line[right, c] - line[j, c])) * (np.float32(image[y, x, c]) * scale)
+            mask[y, x] = value > np.float32(0.5)
+    return mask

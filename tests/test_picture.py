@@ -1,0 +1,178 @@
+"""Pictures and plots: fixed scales, black where there is nothing, and drawn what was asked for."""
+
+import numpy as np
+import pytest
+
+from priors import colours, picture
+from priors.colours import ERROR_STEPS, GOOD_TO_BAD, MISSING, colour_confidence, colour_depth, colour_error, thicken
+from priors.picture import Tile
+from priors.plot import Line, plot, ticks
+from priors.types import Depth
+
+pytestmark = pytest.mark.filterwarnings("error")
+
+EXTREMES = np.array([[0, -1, np.nan, 1.4e-45, 1e-3, 5, 65504, 1e30, np.inf]], np.float32)
+
+
+def index_of(colour, table):
+    (found,) = np.flatnonzero((table == colour).all(axis=1))
+    return found
+
+
+def test_depth_colours_are_a_fixed_scale_and_black_is_no_value():
+    painted = colour_depth(np.array([[0, 3, 15.49, 80]], np.float32))[0]
+    assert painted[0].tolist() == [0, 0, 0]
+    assert painted[1].tolist() == colours.DEPTH_COLOURS[-1].tolist()
+    assert painted[3].tolist() == colours.DEPTH_COLOURS[0].tolist()
+    assert abs(int(index_of(painted[2], colours.DEPTH_COLOURS)) - 127) <= 1  # sqrt(3 * 80): the middle of the logs
+    other = colour_depth(np.array([[3, 20]], np.float32))[0]
+    assert other[0].tolist() == painted[1].tolist()  # another frame, the same colour
+
+
+def test_no_colour_of_a_scale_is_near_black():
+    for table in (colours.DEPTH_COLOURS, colours.CONFIDENCE_COLOURS, GOOD_TO_BAD, colours.NEAR_TO_FAR):
+        assert table.max(axis=1).min() > 60
+    assert not (np.array(MISSING) == GOOD_TO_BAD).all(axis=1).any()
+
+
+def test_extreme_maps_are_painted_without_a_warning():
+    for truth in (EXTREMES, EXTREMES[:, ::-1]):
+        for painted in (
+            colour_depth(EXTREMES),
+            colour_error(EXTREMES, truth),
+            colours.colour_signed_error(EXTREMES, truth),
+            colour_confidence(EXTREMES, EXTREMES > 0),
+        ):
+            assert painted.dtype == np.uint8
+            assert painted.shape == (1, 9, 3)
+    assert colour_depth(EXTREMES)[0, :3].tolist() == [[0, 0, 0]] * 3
+    assert colour_depth(EXTREMES)[0, 3].tolist() == colours.DEPTH_COLOURS[-1].tolist()
+
+
+def test_error_colours_step_at_their_edges():
+    shares = np.array([0.0, *(0.9 * step for step in ERROR_STEPS), 0.5])
+    truth = np.full((1, 9), 10.0, np.float32)
+    for sign in (1, -1):
+        painted = colour_error((truth * (1 + sign * shares)).astype(np.float32), truth)[0]
+        assert [int(index_of(colour, GOOD_TO_BAD)) for colour in painted] == [0, 0, 1, 2, 3, 4, 5, 6, 7]
+
+
+def test_a_truth_without_a_prediction_is_neither_good_nor_black():
+    painted = colour_error(np.array([[0, 5, 0]], np.float32), np.array([[5, 0, 0]], np.float32))[0]
+    assert painted.tolist() == [list(MISSING), [0, 0, 0], [0, 0, 0]]
+
+
+def test_signed_errors_tell_near_from_far():
+    truth = np.full((1, 3), 10.0, np.float32)
+    near, right, far = colours.colour_signed_error(np.array([[8, 10, 12]], np.float32), truth)[0].astype(int)
+    assert near[2] > near[0] + 50
+    assert far[0] > far[2] + 50
+    assert right.min() > 230
+
+
+def test_thickening_grows_into_black_only():
+    sparse = np.zeros((5, 9, 3), np.uint8)
+    sparse[2, 2], sparse[2, 6] = (255, 0, 0), (0, 255, 0)
+    grown = thicken(sparse)
+    assert grown[1:4, 1:4].tolist() == [[[255, 0, 0]] * 3] * 3
+    assert grown[1:4, 5:8].tolist() == [[[0, 255, 0]] * 3] * 3
+    assert not grown[:, [0, 4, 8]].any()
+    assert (grown[2, [2, 6]] == sparse[2, [2, 6]]).all()
+    assert thicken(np.zeros((3, 4, 3), np.uint8)).any() == False  # noqa: E712
+    assert (thicken(np.full((3, 4, 3), 7, np.uint8)) == 7).all()
+
+
+def test_error_tile_shows_the_few_values_of_a_sparse_map():
+    truth = np.full((20, 30), 10.0, np.float32)
+    prediction = np.zeros_like(truth)
+    prediction[10, 15] = 20
+    tile = picture.error_tile(Depth(prediction), Depth(truth))
+    assert (tile.picture[9:12, 14:17] == GOOD_TO_BAD[-1]).all()
+    assert tile.picture[0, 0].tolist() == list(MISSING)
+    assert "no value" in tile.caption
+    dense = picture.error_tile(Depth(truth), Depth(truth))
+    assert (dense.picture == GOOD_TO_BAD[0]).all()
+    assert "no value" not in dense.caption
+
+
+def test_confidence_tile_of_a_map_without_one_is_black():
+    depth_m = np.full((4, 5), 9.0, np.float32)
+    assert not picture.confidence_tile(Depth(depth_m)).picture.any()
+    sure = picture.confidence_tile(Depth(depth_m, np.ones_like(depth_m))).picture
+    assert (sure == colours.CONFIDENCE_COLOURS[-1]).all()
+
+
+def test_sparse_depth_and_confidence_are_thickened_alike():
+    depth_m = np.zeros((9, 9), np.float32)
+    depth_m[4, 4] = 9
+    depth = Depth(depth_m, (depth_m > 0).astype(np.float32))
+    for tile in (picture.depth_tile(depth, "lidar"), picture.confidence_tile(depth)):
+        assert tile.picture.any(axis=2).sum() == 9
+
+
+def test_panel_lays_tiles_out_and_scales_them():
+    red, green = (np.zeros((10, 40, 3), np.uint8) for _ in range(2))
+    red[...], green[...] = (200, 0, 0), (0, 200, 0)
+    made = picture.panel([Tile(red, "a", picture.depth_bar()), Tile(green, "b"), Tile(red[:5], "c")], 2, 200)
+    gap, strip = picture.GAP_PX, picture.STRIP_PX
+    assert made.dtype == np.uint8
+    assert made.shape == (3 * gap + 2 * strip + 50 + 25, 3 * gap + 400, 3)
+    assert (made[gap + strip : gap + strip + 50, gap : gap + 200] == (200, 0, 0)).all()
+    assert (made[gap + strip : gap + strip + 50, 2 * gap + 200 : 2 * gap + 400] == (0, 200, 0)).all()
+    assert (made[2 * gap + strip + 50 :, 2 * gap + 200 :] == picture.PAPER).all()  # no fourth tile
+
+
+def test_captions_and_bars_are_drawn():
+    blank = np.zeros((10, 300, 3), np.uint8)
+    drawn = picture.panel([Tile(blank, "stereo", picture.error_bar())], 1, 300)
+    strip = drawn[picture.GAP_PX : picture.GAP_PX + picture.STRIP_PX]
+    assert {tuple(colour) for colour in GOOD_TO_BAD.tolist()} <= {tuple(c) for c in strip.reshape(-1, 3).tolist()}
+    assert (strip[:, :80] != picture.PAPER).any()
+    assert (picture.panel([Tile(blank, "")], 1, 300)[:40, :80] == picture.PAPER).all()
+
+
+def test_overlay_tints_inside_only():
+    image = np.full((10, 10), 100, np.uint8)
+    mask = np.zeros((10, 10), bool)
+    mask[2:8, 2:8] = True
+    tinted = picture.overlay(image, mask, (0, 0, 255))
+    assert (tinted[~mask] == 100).all()
+    assert tinted[5, 5].tolist() == [55, 55, 169]
+    assert tinted[2, 2].tolist() == [0, 0, 255]  # the outline
+
+
+@pytest.mark.parametrize(
+    ("span", "expected"),
+    [
+        ((0, 1), [0, 0.2, 0.4, 0.6, 0.8, 1.0]),
+        ((0, 0.013), [0, 0.005, 0.01, 0.015]),
+        ((2, 100), [0, 20, 40, 60, 80, 100]),
+        ((-3, 7), [-4, -2, 0, 2, 4, 6, 8]),
+    ],
+)
+def test_ticks_are_round_and_enclose(span, expected):
+    np.testing.assert_allclose(ticks(*span), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("span", [(0, 0), (5, 5), (1e-30, 2e-30), (0, 1e30)])
+def test_ticks_of_odd_spans_are_few_and_rise(span):
+    made = ticks(*span)
+    assert 2 <= len(made) < 20
+    assert (np.diff(made) > 0).all()
+
+
+def test_a_curve_is_drawn_through_its_points():
+    x = np.linspace(0, 100, 11)
+    made = plot([Line("flat", x, np.full(11, 5.0)), Line("rising", x, x / 10, dashed=True)], "x", "y")
+    assert made.shape == (400, 640, 3)
+    # y runs over 0..10 from 400 - BOTTOM_PX up to TOP_PX: a flat 5 is half-way, all along.
+    middle = (400 - 44 + 62) // 2
+    blue = (made[middle - 1 : middle + 2].astype(int) - (90, 170, 250)).__abs__().sum(axis=2).min(axis=0) < 40
+    assert blue[80:600].mean() > 0.95
+    assert not blue[:50].any()
+
+
+def test_plots_of_nothing_and_of_gaps_do_not_fail():
+    for y in (np.full(3, np.nan), np.array([1.0, np.nan, np.inf]), np.zeros(3)):
+        assert plot([Line("gap", np.arange(3.0), y)], "x", "y").shape == (400, 640, 3)
+    assert plot([], "x", "y", size=(200, 300)).shape == (200, 300, 3)
