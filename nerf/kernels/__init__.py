@@ -1,0 +1,78 @@
+"""Fast versions of the field's functions, one module a kind of device; the trainer never asks which.
+
+Each module offers what `Kernels` lists. On any device without one, `plain` answers: the twin and its autograd.
+"""
+
+from typing import TYPE_CHECKING, Protocol
+
+import torch
+from torch import Tensor
+
+if TYPE_CHECKING:
+    from nerf.grid import GridConfig
+    from nerf.twin.field import Layers
+
+
+class Kernels(Protocol):
+    """The functions of the field; shapes as in the twin. m is a multiple of BLOCK."""
+
+    STORAGE: torch.dtype
+    """The type in which the grid's weights are read."""
+    BLOCK: int
+    """The numbers of samples that the functions take are multiples of this."""
+
+    def encode(
+        self, u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: "GridConfig"
+    ) -> Tensor:
+        """Return features (levels, m, 2) of places u (m, 3)."""
+
+    def spread(
+        self,
+        u: Tensor,
+        table: Tensor,
+        footprint: Tensor | None,
+        d_features: Tensor,
+        config: "GridConfig",
+        d_weights: Tensor,
+    ) -> None:
+        """Set d_weights (tables, rows, 2) to the gradient of the weights."""
+
+    def density(self, features: Tensor, layers: "Layers", initial: float) -> Tensor:
+        """Return density (m,)."""
+
+    def density_backward(
+        self, features: Tensor, layers: "Layers", initial: float, d_sigma: Tensor
+    ) -> tuple[Tensor, "Layers"]:
+        """Return the gradients of the features and of the layers (zero for the colour's)."""
+
+    def shade(
+        self, features: Tensor, harmonics: Tensor, ray: Tensor, layers: "Layers", initial: float
+    ) -> tuple[Tensor, Tensor]:
+        """Return density (m,) and colour (m, 3)."""
+
+    def shade_backward(
+        self,
+        features: Tensor,
+        harmonics: Tensor,
+        ray: Tensor,
+        layers: "Layers",
+        initial: float,
+        d_sigma: Tensor,
+        d_rgb: Tensor,
+    ) -> tuple[Tensor, "Layers"]:
+        """Return the gradients of the features (levels, m, 2) and of the layers."""
+
+
+def kernels_for(device: torch.device) -> Kernels:
+    """Return the fastest functions for a device."""
+    if device.type == "cpu":
+        from nerf.kernels import cpu
+
+        return cpu
+    if device.type == "cuda":
+        from nerf.kernels import triton_field  # type: ignore[attr-defined]
+
+        return triton_field  # type: ignore[no-any-return]
+    from nerf.kernels import plain
+
+    return plain
