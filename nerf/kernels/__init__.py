@@ -10,6 +10,8 @@ from torch import Tensor
 
 if TYPE_CHECKING:
     from nerf.grid import GridConfig
+    from nerf.render import Gradients, Rendered
+    from nerf.samples import Samples
     from nerf.twin.field import Layers
 
 
@@ -76,3 +78,59 @@ def kernels_for(device: torch.device) -> Kernels:
     from nerf.kernels import plain
 
     return plain
+
+
+class Renderer(Protocol):
+    """The functions of the renderer and of the losses that look at samples; shapes as in nerf.render and nerf.losses."""
+
+    def render(self, samples: "Samples", sigma: Tensor, rgb: Tensor, sky: Tensor) -> "Rendered":
+        """Composite."""
+
+    def backward(
+        self,
+        samples: "Samples",
+        sigma: Tensor,
+        rgb: Tensor,
+        sky: Tensor,
+        rendered: "Rendered",
+        gradients: "Gradients",
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Return the derivatives by sigma, rgb and sky."""
+
+    def kl(
+        self,
+        samples: "Samples",
+        sigma: Tensor,
+        norms: Tensor,
+        prior_m: Tensor,
+        deviation_m: Tensor,
+        scale: Tensor,
+        d_tau: Tensor,
+    ) -> Tensor:
+        """Return the KL loss (r,), add its gradient to d_tau (m,)."""
+
+    def sight(
+        self,
+        samples: "Samples",
+        weights: Tensor,
+        norms: Tensor,
+        prior_m: Tensor,
+        deviation_m: Tensor,
+        scale: Tensor,
+        d_weights: Tensor,
+    ) -> Tensor:
+        """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
+
+    def distortion(self, samples: "Samples", weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:
+        """Return the distortion (r,), add its gradient to d_weights (m,)."""
+
+
+def renderer_for(device: torch.device) -> Renderer:
+    """Return the fastest renderer for a device."""
+    if device.type == "cpu":
+        from nerf.kernels import render_cpu
+
+        return render_cpu
+    from nerf.kernels import render_plain
+
+    return render_plain

@@ -1,0 +1,174 @@
+"""The losses: colour, depth (four of them), distortion, opacity. Per ray and unreduced; one rule reduces them all.
+
+Reduction: a colour loss is the mean over the rays. A depth loss is the mean over the rays that have a prior, weighted
+by confidence where that is wanted: sum(weight l) / sum(weight). A sparse map and a dense one therefore pull equally
+hard with the same --depth-weight, and an empty one gives 0.
+
+Depth losses, with D the rendered camera-z depth, d the prior's, w the samples' weights, U a unit of length and s the
+prior's standard deviation (metres, max(sigma_floor_m, sigma_share * d)):
+
+    mse   ((D - d) / U)^2
+    l1    |D - d| / U
+    kl    -sum q log w, q the mass of N(d, s) in each sample's interval, normalised to 1 (DS-NeRF, Deng et al.,
+          CVPR 2022, eq. 9, with s^2 as the variance and masses instead of densities)
+    urf   ((D - d) / U)^2 + sum over t < d - 3s of w^2 + sum over |t - d| <= 3s of (w - mass of N(d, s))^2
+          (Rematas et al., CVPR 2022, eq. 6 to 9, targets in units of weight)
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+from torch import Tensor
+
+from nerf.rays import Rays
+from nerf.render import Gradients, Rendered
+from nerf.samples import Samples
+
+DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
+
+
+@dataclass(frozen=True)
+class LossConfig:
+    """What is minimised."""
+
+    loss: DepthLoss = "l1"
+    """Depth loss."""
+    depth_weight: float = 0.05
+    """Weight of the depth loss beside the colour loss."""
+    unit_m: float = 16.0
+    """Length by which mse and l1 divide depth errors, metres."""
+    sigma_share: float = 0.05
+    """Standard deviation of the prior as a share of its depth, for kl and urf."""
+    sigma_floor_m: float = 0.1
+    """Smallest standard deviation of the prior, metres."""
+    confidence: bool = False
+    """Weight rays by the prior's confidence."""
+    trim: float = 0.0
+    """Share of each batch's prior rays, those with the largest depth loss, that is left out."""
+    distortion: float = 1e-3
+    """Weight of mip-NeRF 360's distortion loss."""
+    opacity: float = 0.02
+    """Weight of the light that passes rays where the prior has a surface."""
+
+
+@dataclass(frozen=True, slots=True)
+class Losses:
+    """The batch's losses, reduced, and what to do about them."""
+
+    terms: dict[str, float]
+    """Reduced, unweighted: rgb, depth, distortion, opacity."""
+    total: float
+    gradients: Gradients
+
+
+def losses(config: LossConfig, samples: Samples, rays: Rays, sigma: Tensor, rendered: Rendered) -> Losses:
+    """Compute all losses and their gradients by what was rendered.
+
+    Raises:
+        ValueError: the rays have no colours.
+    """
+    if rays.rgb is None:
+        raise ValueError("rays without colours cannot be trained on")
+    gradients = Gradients.zeros(rendered)
+    off = rendered.rgb - rays.rgb
+    gradients.rgb.copy_(2 / off.numel() * off)
+    terms = {"rgb": float((off * off).mean())}
+    weight = prior_weight(config, rays)
+    if weight is not None and config.loss != "none":
+        terms["depth"] = _depth(config, samples, rays, weight, sigma, rendered, gradients)
+    terms["opacity"] = _opacity(config, samples, rays, rendered, gradients)
+    terms["distortion"] = _distortion(config, samples, rendered, gradients)
+    scales = {"rgb": 1.0, "depth": config.depth_weight, "opacity": config.opacity, "distortion": config.distortion}
+    return Losses(terms, sum(scales[name] * value for name, value in terms.items()), gradients)
+
+
+def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:
+    """Return how much each ray's prior counts (r,): 0 where it has none; None where no ray can have one."""
+    if rays.depth_m is None:
+        return None
+    valid = (rays.depth_m > 0) & torch.isfinite(rays.depth_m)
+    weight = rays.weight if config.confidence and rays.weight is not None else torch.ones_like(rays.depth_m)
+    return torch.where(valid, weight, 0.0)
+
+
+def _depth(
+    config: LossConfig,
+    samples: Samples,
+    rays: Rays,
+    weight: Tensor,
+    sigma: Tensor,
+    rendered: Rendered,
+    gradients: Gradients,
+) -> float:
+    """Reduce the depth loss and add its gradients."""
+    prior_m = torch.where(weight > 0, rays.depth_m, 0.0)  # type: ignore[arg-type]
+    term = _DepthTerm(config, samples, rays.norms, prior_m, sigma, rendered)
+    if config.trim > 0:
+        found = term(torch.zeros_like(weight), Gradients.zeros(rendered))
+        weight = trimmed(weight, found, config.trim)
+    share = weight / weight.sum().clamp(min=1e-12)
+    return float((share * term(config.depth_weight * share, gradients)).sum())
+
+
+def trimmed(weight: Tensor, loss: Tensor, share: float) -> Tensor:
+    """Give weight 0 to the `share` of the rays with a weight whose loss is largest."""
+    has = weight > 0
+    drop = int(share * int(has.sum()))
+    if drop == 0:
+        return weight
+    out = weight.clone()
+    out[torch.where(has, loss, -1.0).topk(drop).indices] = 0
+    return out
+
+
+@dataclass(frozen=True, slots=True)
+class _DepthTerm:
+    """The depth loss of one batch: called with a scale a ray, adds the gradients and returns the losses (r,)."""
+
+    config: LossConfig
+    samples: Samples
+    norms: Tensor
+    prior_m: Tensor
+    sigma: Tensor
+    rendered: Rendered
+
+    def __call__(self, scale: Tensor, gradients: Gradients) -> Tensor:
+        from nerf.kernels import renderer_for
+
+        config, prior_m = self.config, self.prior_m
+        deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
+        kernels = renderer_for(self.sigma.device)
+        if config.loss == "kl":
+            return kernels.kl(self.samples, self.sigma, self.norms, prior_m, deviation_m, scale, gradients.tau)
+        off = torch.where(prior_m > 0, self.rendered.depth_m - prior_m, 0.0) / config.unit_m
+        if config.loss == "l1":
+            gradients.depth_m.add_(scale * off.sign() / config.unit_m)
+            return off.abs()
+        gradients.depth_m.add_(scale * 2 * off / config.unit_m)
+        if config.loss == "mse":
+            return off * off
+        weights, d_weights = self.rendered.weights, gradients.weights
+        return off * off + kernels.sight(self.samples, weights, self.norms, prior_m, deviation_m, scale, d_weights)
+
+
+def _opacity(config: LossConfig, samples: Samples, rays: Rays, rendered: Rendered, gradients: Gradients) -> float:
+    """Reduce the light that passes rays which should stop it: those with a prior, or all where there is no prior.
+
+    A ray without samples cannot stop anything and does not count.
+    """
+    asked = samples.offsets[1:] > samples.offsets[:-1]
+    stops = asked if rays.depth_m is None else asked & (rays.depth_m > 0)
+    share = stops / stops.sum().clamp(min=1)
+    gradients.transmittance.add_(config.opacity * share)
+    return float((share * rendered.transmittance).sum())
+
+
+def _distortion(config: LossConfig, samples: Samples, rendered: Rendered, gradients: Gradients) -> float:
+    """Reduce the distortion: the mean over the rays."""
+    from nerf.kernels import renderer_for
+
+    rays = len(samples.offsets) - 1
+    scale = torch.full((rays,), config.distortion / max(1, rays), device=rendered.rgb.device)
+    found = renderer_for(rendered.rgb.device).distortion(samples, rendered.weights, scale, gradients.weights)
+    return float(found.mean()) if rays else 0.0

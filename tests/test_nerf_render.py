@@ -1,0 +1,199 @@
+"""The compiled renderer and losses against their plain twin, values and gradients, in float64."""
+
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from nerf import render
+from nerf.kernels import render_cpu, render_plain
+from nerf.losses import LossConfig, losses, prior_weight, trimmed
+from nerf.rays import Rays
+from nerf.render import Gradients, Rendered
+from nerf.samples import BLOCK, Samples
+from nerf.twin import render as twin
+
+
+def make(counts: list[int], seed: int = 0) -> tuple[Samples, Tensor, Tensor, Tensor, Rays]:
+    """Make rays with these numbers of samples, their densities, colours and skies."""
+    random = torch.Generator().manual_seed(seed)
+
+    def rand(*shape: int) -> Tensor:
+        return torch.rand(*shape, generator=random)
+
+    rays, used = len(counts), sum(counts)
+    m = BLOCK * max(1, math.ceil(used / BLOCK))
+    offsets = torch.tensor([0, *torch.tensor(counts).cumsum(0).tolist()] if counts else [0])
+    ray = torch.full((m,), -1, dtype=torch.int32)
+    ray[:used] = torch.repeat_interleave(torch.arange(rays, dtype=torch.int32), torch.tensor(counts, dtype=torch.long))
+    t, dt_m, s0, s1 = (torch.zeros(m) for _ in range(4))
+    for first, last in zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True):
+        edges = torch.sort(rand(last - first + 1)).values
+        s0[first:last], s1[first:last] = edges[:-1], edges[1:]
+        t[first:last], dt_m[first:last] = 2 + 40 * (edges[:-1] + edges[1:]) / 2, 44 * (edges[1:] - edges[:-1])
+    samples = Samples(offsets, ray, t, dt_m, s0, s1, torch.zeros(m, 3), torch.zeros(m, dtype=torch.int32), used)
+    sigma = torch.exp(6 * rand(m) - 4)
+    directions = torch.nn.functional.pad(rand(rays, 2) - 0.5, (0, 1), value=1.0)
+    depth_m = 44 * rand(rays) * (rand(rays) > 0.3)
+    bundle = Rays(rand(rays, 3), directions, rand(rays, 3), depth_m, rand(rays))
+    return samples, sigma, rand(m, 3), rand(rays, 3), bundle
+
+
+CASES = [[5, 3, 0, 17, 1], [1], [0, 0], [30] * 100, [700, 2, 1500]]
+FIELDS = ("rgb", "depth_m", "median_m", "transmittance", "weights")
+
+
+@pytest.mark.parametrize("counts", CASES)
+def test_values_equal_the_twin(counts: list[int]) -> None:
+    samples, sigma, rgb, sky, _ = make(counts)
+    fast = render_cpu.render(samples, sigma, rgb, sky)
+    slow = twin.render(samples, sigma.double(), rgb.double(), sky.double())
+    for name in FIELDS:
+        torch.testing.assert_close(getattr(fast, name), getattr(slow, name).float(), atol=2e-6, rtol=2e-5)
+
+
+@pytest.mark.parametrize("counts", CASES)
+def test_gradients_equal_autograd(counts: list[int]) -> None:
+    samples, sigma, rgb, sky, _ = make(counts)
+    fast = render_cpu.render(samples, sigma, rgb, sky)
+    random = torch.Generator().manual_seed(1)
+    given_ = Gradients(*(torch.randn(x.shape, generator=random) for x in (fast.rgb, *[fast.depth_m] * 2, *[sigma] * 2)))
+    found = render_cpu.backward(samples, sigma, rgb, sky, fast, given_)
+    doubled = [x.double() for x in (sigma, rgb, sky)]
+    slow = Rendered(*(getattr(fast, name).double() for name in FIELDS))
+    wide = Gradients(
+        *(x.double() for x in (given_.rgb, given_.depth_m, given_.transmittance, given_.weights, given_.tau))
+    )
+    expected = render_plain.backward(samples, *doubled, slow, wide)
+    for ours, theirs in zip(found, expected, strict=True):
+        torch.testing.assert_close(ours, theirs.float(), atol=2e-5, rtol=2e-4)
+
+
+@pytest.mark.parametrize("counts", CASES)
+@pytest.mark.parametrize("kind", ["kl", "sight", "distortion"])
+def test_losses_equal_the_twin(counts: list[int], kind: str) -> None:
+    samples, sigma, rgb, sky, rays = make(counts, seed=3)
+    assert rays.depth_m is not None
+    weights = render_cpu.render(samples, sigma, rgb, sky).weights
+    deviation_m = 0.05 * rays.depth_m + 0.1
+    scale = torch.rand(len(rays), generator=torch.Generator().manual_seed(4))
+    priors = (rays.norms, rays.depth_m, deviation_m)
+    arguments = {"kl": (sigma, *priors), "sight": (weights, *priors), "distortion": (weights,)}[kind]
+    ours, theirs = torch.zeros_like(sigma), torch.zeros_like(sigma).double()
+    fast = getattr(render_cpu, kind)(samples, *arguments, scale, ours)
+    wide = [x.double() for x in arguments]
+    slow = getattr(render_plain, kind)(samples, *wide, scale.double(), theirs)
+    torch.testing.assert_close(fast, slow.float(), atol=1e-5, rtol=1e-4)
+    torch.testing.assert_close(ours, theirs.float(), atol=1e-5, rtol=1e-3)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.integers(0, 40), min_size=1, max_size=20), st.integers(0, 1000))
+def test_light_is_conserved(counts: list[int], seed: int) -> None:
+    samples, sigma, rgb, sky, _ = make(counts, seed)
+    made = render_cpu.render(samples, sigma, rgb, sky)
+    stopped = torch.zeros(len(counts)).index_add(0, samples.ray[: samples.used].long(), made.weights[: samples.used])
+    torch.testing.assert_close(stopped + made.transmittance, torch.ones(len(counts)), atol=1e-5, rtol=0)
+    assert (made.weights >= 0).all()
+    assert (made.rgb >= -1e-6).all()
+    assert (made.rgb <= 1 + 1e-5).all()
+
+
+def test_a_wall_is_seen_where_it_stands() -> None:
+    samples, _, rgb, sky, _ = make([40])
+    sigma = torch.where(samples.t > 21, 1e4, 0.0)
+    made = render_cpu.render(samples, sigma, rgb, sky)
+    first = samples.t[: samples.used][samples.t[: samples.used] > 21][0]
+    torch.testing.assert_close(made.depth_m[0], first)
+    torch.testing.assert_close(made.median_m[0], first)
+    assert made.transmittance[0] < 1e-6
+
+
+def test_empty_space_shows_the_sky() -> None:
+    samples, sigma, rgb, sky, _ = make([12, 0])
+    made = render_cpu.render(samples, torch.zeros_like(sigma), rgb, sky)
+    torch.testing.assert_close(made.rgb, sky)
+    assert (made.depth_m == 0).all()
+
+
+@pytest.mark.parametrize("value", [0.0, 1e-38, 1e-12, 65504.0, 1e30])
+def test_extreme_densities_stay_finite(value: float) -> None:
+    samples, sigma, rgb, sky, rays = make([20] * 8)
+    sigma = torch.full_like(sigma, value)
+    made = render_cpu.render(samples, sigma, rgb, sky)
+    for kind in ("mse", "l1", "kl", "urf"):
+        found = losses(LossConfig(loss=kind), samples, rays, sigma, made)
+        gradients = render_cpu.backward(samples, sigma, rgb, sky, made, found.gradients)
+        assert math.isfinite(found.total)
+        assert all(torch.isfinite(x).all() for x in gradients)
+
+
+@pytest.mark.parametrize("kind", ["mse", "l1", "kl", "urf"])
+def test_the_whole_loss_has_its_gradient(kind: str) -> None:
+    """Central differences of the reduced total against the composed backward pass."""
+    samples, sigma, rgb, sky, rays = make([12, 7, 20, 3], seed=5)
+    config = LossConfig(loss=kind, depth_weight=0.7, distortion=0.3, opacity=0.2, confidence=True)
+
+    def total(s: Tensor) -> float:
+        return losses(config, samples, rays, s, render_cpu.render(samples, s, rgb, sky)).total
+
+    made = render_cpu.render(samples, sigma, rgb, sky)
+    found = losses(config, samples, rays, sigma, made)
+    d_sigma = render.backward(samples, sigma, rgb, sky, made, found.gradients)[0]
+    for k in (0, 5, 13, 20, 30, 41):
+        step = 1e-2 * float(sigma[k])
+        up, down = sigma.clone(), sigma.clone()
+        up[k] += step
+        down[k] -= step
+        slope = (total(up) - total(down)) / (2 * step)
+        assert slope == pytest.approx(float(d_sigma[k]), rel=2e-2, abs=2e-4)
+
+
+def test_kl_is_least_where_the_prior_is() -> None:
+    samples, sigma, _, _, rays = make([60], seed=2)
+    near = torch.tensor([float(samples.t[30])])
+    found = []
+    for at in (15, 30, 45):
+        wall = torch.full_like(sigma, 1e-6)
+        wall[at] = 50.0
+        d_tau = torch.zeros_like(sigma)
+        found.append(float(render_cpu.kl(samples, wall, rays.norms, near, torch.full((1,), 0.05), torch.ones(1), d_tau)[0]))
+    assert found[1] < min(found[0], found[2])
+
+
+def test_sparse_and_dense_maps_pull_equally() -> None:
+    """A prior on a tenth of the rays gives the loss of a prior on all of them, if the errors are the same."""
+    samples, sigma, rgb, sky, rays = make([10] * 200)
+    made = render_cpu.render(samples, sigma, rgb, sky)
+    dense = made.depth_m + 2
+    sparse = torch.where(torch.arange(200) % 10 == 0, dense, 0.0)
+    found = [
+        losses(LossConfig(loss="l1"), samples, Rays(rays.origins_m, rays.directions, rays.rgb, depth), sigma, made)
+        for depth in (dense, sparse, torch.zeros(200))
+    ]
+    assert found[0].terms["depth"] == pytest.approx(2 / 16, rel=1e-4)
+    assert found[1].terms["depth"] == pytest.approx(2 / 16, rel=1e-4)
+    assert found[2].terms["depth"] == 0
+
+
+def test_nan_and_infinite_priors_do_not_count() -> None:
+    rays = make([5, 5, 5])[-1]
+    spoilt = Rays(rays.origins_m, rays.directions, rays.rgb, torch.tensor([math.nan, math.inf, 7.0]))
+    weight = prior_weight(LossConfig(), spoilt)
+    assert weight is not None
+    assert weight.tolist() == [0, 0, 1]
+
+
+@given(st.floats(0, 1), st.integers(1, 50), st.integers(0, 99))
+def test_trimming_drops_the_largest(share: float, count: int, seed: int) -> None:
+    random = torch.Generator().manual_seed(seed)
+    weight = (torch.rand(count, generator=random) > 0.3).float()
+    loss = torch.rand(count, generator=random)
+    kept = trimmed(weight, loss, share)
+    dropped = (weight > 0) & (kept == 0)
+    assert int(dropped.sum()) == int(share * int(weight.sum()))
+    if dropped.any() and kept.any():
+        assert loss[dropped].min() >= loss[kept > 0].max()
