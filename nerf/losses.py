@@ -172,3 +172,21 @@ def _distortion(config: LossConfig, samples: Samples, rendered: Rendered, gradie
     scale = torch.full((rays,), config.distortion / max(1, rays), device=rendered.rgb.device)
     found = renderer_for(rendered.rgb.device).distortion(samples, rendered.weights, scale, gradients.weights)
     return float(found.mean()) if rays else 0.0
+
+
+def interlevel(
+    samples: Samples, rendered: Rendered, coarse: Samples, coarse_rendered: Rendered
+) -> tuple[float, Tensor]:
+    """Ask a proposal's weights to bound the field's: the mean over rays, and its gradient by the weights (m,).
+
+    sum max(0, w - what the coarse intervals that overlap hold)^2 / w (Barron et al., CVPR 2022, eq. 13); the field's
+    own weights are not moved by it.
+    """
+    from nerf.kernels import renderer_for
+
+    rays = len(samples.offsets) - 1
+    device = rendered.rgb.device
+    scale = torch.full((rays,), 1 / max(1, rays), device=device)
+    kernels = renderer_for(device)
+    found, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
+    return (float(found.mean()) if rays else 0.0), gradient

@@ -90,6 +90,21 @@ def test_losses_equal_the_twin(counts: list[int], kind: str) -> None:
     torch.testing.assert_close(ours, theirs.float(), atol=1e-5, rtol=1e-3)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_interlevel_equals_the_twin(seed: int) -> None:
+    counts = [12, 0, 5, 33, 7]
+    samples, sigma, rgb, sky, _ = make(counts, seed)
+    coarse, thin, _, _, _ = make([9, 4, 0, 20, 7], seed + 100)
+    weights = render_cpu.render(samples, sigma, rgb, sky).weights
+    bound = render_cpu.render(coarse, thin, torch.zeros(len(thin), 3), sky).weights
+    scale = torch.rand(len(counts), generator=torch.Generator().manual_seed(4))
+    fast, ours = render_cpu.interlevel(samples, weights, coarse, bound, scale)
+    slow, theirs = render_plain.interlevel(samples, weights.double(), coarse, bound.double(), scale.double())
+    assert float(slow.sum()) > 0
+    torch.testing.assert_close(fast, slow.float(), atol=1e-6, rtol=1e-4)
+    torch.testing.assert_close(ours, theirs.float(), atol=1e-6, rtol=1e-4)
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=20), st.integers(0, 1000))
 def test_light_is_conserved(counts: list[int], seed: int) -> None:
@@ -160,7 +175,9 @@ def test_kl_is_least_where_the_prior_is() -> None:
         wall = torch.full_like(sigma, 1e-6)
         wall[at] = 50.0
         d_tau = torch.zeros_like(sigma)
-        found.append(float(render_cpu.kl(samples, wall, rays.norms, near, torch.full((1,), 0.05), torch.ones(1), d_tau)[0]))
+        found.append(
+            float(render_cpu.kl(samples, wall, rays.norms, near, torch.full((1,), 0.05), torch.ones(1), d_tau)[0])
+        )
     assert found[1] < min(found[0], found[2])
 
 

@@ -124,6 +124,11 @@ class Renderer(Protocol):
     def distortion(self, samples: "Samples", weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:
         """Return the distortion (r,), add its gradient to d_weights (m,)."""
 
+    def interlevel(
+        self, samples: "Samples", weights: Tensor, coarse: "Samples", coarse_weights: Tensor, scale: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Return the interlevel loss (r,) and its gradient by the coarse weights (m,)."""
+
 
 def renderer_for(device: torch.device) -> Renderer:
     """Return the fastest renderer for a device."""

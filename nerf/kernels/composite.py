@@ -5,7 +5,7 @@ import math
 import numpy as np
 from numba import njit, prange
 
-from nerf.kernels.limits import LEAST, NO_TARGET, REACH
+from nerf.kernels.limits import LEAST, NO_TARGET, REACH, SOFT
 
 # No nnan, no ninf: an overflow must stay visible.
 FAST = {"reassoc", "contract", "nsz", "arcp"}
@@ -152,3 +152,27 @@ def sight(offsets, weights, dt_m, t, norms, depth_m, deviation_m, scale, loss, d
             off = weights[i] - target
             loss[ray] += off * off
             d_weights[i] += scale[ray] * 2.0 * off
+
+
+@njit(parallel=True, cache=True, nogil=True, fastmath=FAST)
+def interlevel(offsets, weights, s0, s1, coarse_offsets, coarse_weights, coarse_s0, coarse_s1, scale, loss, d_coarse):  # type: ignore[no-untyped-def]
+    """Fill loss (r,) and d_coarse (m,): fine weights that coarse intervals do not cover; see nerf.losses.interlevel."""
+    for ray in prange(offsets.size - 1):
+        first, last = coarse_offsets[ray], coarse_offsets[ray + 1]
+        d_coarse[first:last] = 0.0
+        found, low = 0.0, first
+        for i in range(offsets[ray], offsets[ray + 1]):
+            while low < last and coarse_s1[low] <= s0[i]:
+                low += 1
+            bound, high = 0.0, low
+            while high < last and coarse_s0[high] < s1[i]:
+                bound += coarse_weights[high]
+                high += 1
+            over = weights[i] - bound
+            if over > 0.0:
+                share = over / (weights[i] + SOFT)
+                found += over * share
+                for j in range(low, high):
+                    d_coarse[j] -= scale[ray] * 2.0 * share
+        loss[ray] = found
+    d_coarse[coarse_offsets[-1] :] = 0.0

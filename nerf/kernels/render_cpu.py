@@ -64,6 +64,17 @@ def distortion(samples: Samples, weights: Tensor, scale: Tensor, d_weights: Tens
     return loss
 
 
+def interlevel(
+    samples: Samples, weights: Tensor, coarse: Samples, coarse_weights: Tensor, scale: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the interlevel loss (r,) and its gradient by the coarse weights (m,)."""
+    loss, d_coarse = torch.empty(len(scale)), torch.empty_like(coarse_weights)
+    fine = (samples.offsets, weights, samples.s0, samples.s1)
+    arrays = (*fine, coarse.offsets, coarse_weights, coarse.s0, coarse.s1, scale, loss, d_coarse)
+    composite.interlevel(*map(_view, arrays))
+    return loss, d_coarse
+
+
 def _view(tensor: Tensor):  # type: ignore[no-untyped-def]
     """Return the tensor's memory as an array; the loops want it contiguous."""
     return tensor.contiguous().numpy()

@@ -54,6 +54,15 @@ def distortion(samples: Samples, weights: Tensor, scale: Tensor, d_weights: Tens
     return _differentiate(lambda x: twin.distortion(samples, x), weights, scale, d_weights)
 
 
+def interlevel(
+    samples: Samples, weights: Tensor, coarse: Samples, coarse_weights: Tensor, scale: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the interlevel loss (r,) and its gradient by the coarse weights (m,)."""
+    gradient = torch.zeros_like(coarse_weights)
+    loss = _differentiate(lambda x: twin.interlevel(samples, weights, coarse, x), coarse_weights, scale, gradient)
+    return loss, gradient
+
+
 def _differentiate(loss: Callable[[Tensor], Tensor], at: Tensor, scale: Tensor, gradient: Tensor) -> Tensor:
     with torch.enable_grad():
         inputs = at.detach().requires_grad_()

@@ -6,7 +6,7 @@ Packed samples are spread to (rays, most samples of a ray), padding weighs nothi
 import torch
 from torch import Tensor
 
-from nerf.kernels.limits import LEAST, NO_TARGET, REACH
+from nerf.kernels.limits import LEAST, NO_TARGET, REACH, SOFT
 from nerf.render import OPACITY_FLOOR, Rendered
 from nerf.samples import Samples
 
@@ -87,3 +87,12 @@ def distortion(samples: Samples, weights: Tensor) -> Tensor:
     middle = (s0 + s1) / 2
     apart = (middle[:, :, None] - middle[:, None, :]).abs()
     return (w[:, :, None] * w[:, None, :] * apart).sum((1, 2)) + (w * w * (s1 - s0)).sum(1) / 3
+
+
+def interlevel(samples: Samples, weights: Tensor, coarse: Samples, coarse_weights: Tensor) -> Tensor:
+    """Return the interlevel loss (r,); fine weights are taken as they are, only the coarse ones learn."""
+    w, s0, s1 = (spread(samples, x.detach().to(coarse_weights)) for x in (weights, samples.s0, samples.s1))
+    bound, low, high = (spread(coarse, x.to(coarse_weights)) for x in (coarse_weights, coarse.s0, coarse.s1))
+    meets = (low[:, None, :] < s1[:, :, None]) & (high[:, None, :] > s0[:, :, None])
+    over = (w - (meets * bound[:, None, :]).sum(2)).clamp(min=0)
+    return (over**2 / (w + SOFT)).sum(1)
