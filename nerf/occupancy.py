@@ -1,0 +1,196 @@
+"""An occupancy grid: which cells of a space may hold something, so that samplers skip the others.
+
+Carving, before the first step, from what the training views know:
+
+1. Cells within `reach` of a prior value along its ray are kept, and so are their neighbours.
+2. A ray without a value and without any value nearby in its image (sky, or above the scanner) says nothing: cells it
+   passes stay open, unless a ray with a value looked through them.
+3. Everything else is empty. A hole between values (LiDAR lines) opens nothing: neighbours and other views fill it.
+
+So a dense prior leaves a shell around the surfaces; a LiDAR cuts away nothing of what is above it; and without any
+prior, what the cameras see is open. Open cells are pruned while training, from the field's own density.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from nerf.samples import Samples
+from nerf.scene import Scene
+from nerf.space import Space
+from nerf.twin.sample import cells
+from priors.geometry import rays as pixel_rays
+
+Density = Callable[[Tensor, Tensor], Tensor]
+Bytes = npt.NDArray[np.uint8]
+
+RAYS_PER_RADIAN = 256
+"""How densely views are traced; a cell of 128 in the ball is wider than that."""
+THIN = 0.01
+"""Optical thickness of a cell below which it is taken to be empty."""
+DECAY = 0.9
+"""What a cell's thickness is multiplied with each time it is looked at, before the new one is compared."""
+WARM_UP = 256
+"""Steps before anything is pruned."""
+_STREAM = 3
+
+
+class Occupancy:
+    """Which cells are kept, for each table of a space; (tables, n, n, n) grids, z first, x last."""
+
+    def __init__(self, space: Space, resolution: int = 128, device: torch.device | str = "cpu") -> None:
+        """Make a grid in which every cell is kept and open."""
+        self.space = space
+        self.resolution = resolution
+        shape = (space.tables, resolution, resolution, resolution)
+        self.kept = torch.ones(shape, dtype=torch.uint8, device=device)
+        """uint8, 1: samples are taken here."""
+        self.open = torch.ones_like(self.kept)
+        """uint8, 1: no prior knows; may be pruned and come back."""
+        self.thickness = torch.full(shape, -1.0, device=device)
+        """float32, optical thickness of a cell as last seen, decaying; -1: never looked at."""
+
+    @classmethod
+    def carve(
+        cls,
+        space: Space,
+        scene: Scene,
+        resolution: int = 128,
+        reach: float = 0.1,
+        device: torch.device | str = "cpu",
+    ) -> "Occupancy":
+        """Carve a grid from the training views' prior; `reach` is relative to the depth."""
+        self = cls(space, resolution, device)
+        band, unknown, free = (np.zeros(self.kept.numel(), np.uint8) for _ in range(3))
+        for position in scene.train:
+            seen, blind = _parted(scene, position)
+            self._trace(scene, position, seen, 1 - reach, 1 + reach, band)
+            self._trace(scene, position, blind, 0, np.inf, unknown)
+        if unknown.any():
+            for position in scene.train:
+                self._trace(scene, position, _parted(scene, position)[0], 0, 1 - reach, free)
+        around = _dilated(band, resolution)
+        unknown = _dilated(unknown & ~(free | band) & 1, resolution) & ~around & 1
+        self.kept.copy_(torch.from_numpy((around | unknown).reshape(self.kept.shape)))
+        self.open.copy_(torch.from_numpy(unknown.reshape(self.kept.shape)))
+        return self
+
+    @property
+    def share(self) -> float:
+        """Share of the cells that are kept, [0, 1]."""
+        return float(self.kept.float().mean())
+
+    def holds(self, points_m: Tensor) -> Tensor:
+        """Tell which world points (n, 3) lie in kept cells: (n,) bool."""
+        u, table = self.space.warp(points_m)
+        return self.kept.reshape(-1)[cells(u, table, self.resolution)] > 0
+
+    def observe(self, samples: Samples, sigma: Tensor) -> None:
+        """Note the density (m,), 1/m, that a training step found at its samples."""
+        self._note(samples.u[: samples.used], samples.table[: samples.used], sigma[: samples.used])
+
+    def update(self, density: Density, key: tuple[int, int], probes: int = 16_384) -> None:
+        """Look at `probes` open cells, half of them kept ones, and after WARM_UP steps prune what is thin.
+
+        Args:
+            density: u (m, 3), table (m,) -> density (m,), 1/m; of the field.
+            key: seed and step: they choose the cells and the places in them.
+            probes: how many cells; m is always this.
+        """
+        candidates = torch.nonzero(self.open.reshape(-1))[:, 0]
+        if not len(candidates):
+            return
+        generator = np.random.Generator(np.random.Philox(key=list(key), counter=[0, 0, 0, _STREAM]))
+        kept = candidates[self.kept.reshape(-1)[candidates] > 0]
+        half = probes // 2 if len(kept) else 0
+        chosen = [_draw(generator, kept, half), _draw(generator, candidates, probes - half)]
+        u, table = self._inside(torch.cat(chosen), generator)
+        self._note(u, table, density(u, table))
+        if key[1] >= WARM_UP:
+            known = self.thickness >= 0
+            limit = min(THIN, float(self.thickness[known].mean()))
+            thick = (self.thickness > limit) | ~known
+            self.kept.copy_(torch.where(self.open > 0, thick.to(torch.uint8), self.kept))
+
+    def state(self) -> dict[str, Tensor]:
+        """Return what `load` needs to go on bit for bit."""
+        return {"kept": self.kept, "open": self.open, "thickness": self.thickness}
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Take over the state of another grid of the same space and resolution."""
+        for name, own in self.state().items():
+            if state[name].shape != own.shape:
+                raise ValueError(f"occupancy {name}: expected {tuple(own.shape)}, found {tuple(state[name].shape)}")
+            own.copy_(state[name])
+
+    def _trace(
+        self, scene: Scene, position: int, pixels: npt.NDArray[np.int64], begin: float, end: float, grid: Bytes
+    ) -> None:
+        """Set the cells along pixels' rays, from `begin` to `end` times the depth (the space's ends where that is 0)."""
+        from nerf.kernels.march import trace
+
+        pose = scene.T_world_cam[position]
+        directions = pixel_rays(scene.camera).reshape(-1, 3)[pixels] @ pose[:3, :3].T
+        directions = self.space.turn(torch.from_numpy(directions.astype(np.float32))).contiguous()
+        origin = self.space.places(torch.from_numpy(pose[None, :3, 3].astype(np.float32)))
+        near, far = np.float32(self.space.near_m), np.float32(self.space.far_m)
+        depth_m = np.zeros(len(pixels), np.float32)
+        if scene.depth_m is not None:
+            depth_m = scene.depth_m[position].reshape(-1)[pixels]
+        first_m = np.where(depth_m > 0, np.clip(depth_m * np.float32(begin), near, far), near)
+        last_m = np.where(depth_m > 0, np.clip(depth_m * np.float32(min(end, 1e3)), near, far), far)
+        origins = origin.expand_as(directions).contiguous()
+        code, resolution = self.space.code, self.resolution
+        trace(origins.numpy(), directions.numpy(), first_m, last_m, code, resolution, grid)
+
+    def _inside(self, cell: Tensor, generator: np.random.Generator) -> tuple[Tensor, Tensor]:
+        """Return random places u (m, 3) in cells (m,) and their tables."""
+        n = self.resolution
+        jitter = torch.from_numpy(generator.random((len(cell), 3), dtype=np.float32)).to(cell.device)
+        corner = torch.stack([cell % n, cell // n % n, cell // n**2 % n], dim=1)
+        return torch.clamp((corner + jitter) / n, max=1), (cell // n**3).to(torch.int32)
+
+    def _note(self, u: Tensor, table: Tensor, sigma: Tensor) -> None:
+        """Let the cells at u (m, 3) decay once and rise to the thickness found there."""
+        found = sigma.to(torch.float32) * self.space.stretch_m(u, table) / self.resolution
+        cell = cells(u, table, self.resolution)
+        flat = self.thickness.view(-1)
+        flat[cell] = flat[cell] * DECAY
+        flat.scatter_reduce_(0, cell, found, "amax")
+
+
+def _parted(scene: Scene, position: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return a view's pixels (flat) with a prior value and those with none even nearby, both thinned."""
+    from scipy.ndimage import maximum_filter
+
+    height, width = scene.camera.size
+    stride = max(1, round(scene.camera.fx / RAYS_PER_RADIAN))
+    blind = np.zeros((height, width), bool)
+    blind[::stride, ::stride] = True
+    if scene.depth_m is None:
+        return np.zeros(0, np.int64), np.flatnonzero(blind)
+    valid = scene.depth_m[position] > 0
+    seen = np.flatnonzero(valid)
+    if len(seen):
+        # The window holds about a dozen values where they are spread evenly.
+        window = 2 * int(np.clip(np.ceil(2 / np.sqrt(valid.mean())), 2, 16)) + 1
+        blind &= ~maximum_filter(valid, window)
+    return seen[:: max(1, len(seen) * stride**2 // valid.size)], np.flatnonzero(blind)
+
+
+def _dilated(grid: Bytes, resolution: int) -> Bytes:
+    """Set the 26 neighbours of every set cell as well."""
+    from scipy.ndimage import maximum_filter
+
+    tables = grid.reshape(-1, resolution, resolution, resolution)
+    return np.stack([maximum_filter(table, 3) for table in tables]).reshape(-1)
+
+
+def _draw(generator: np.random.Generator, candidates: Tensor, count: int) -> Tensor:
+    """Draw `count` of the candidates, with repetition."""
+    drawn: npt.NDArray[Any] = generator.integers(0, max(len(candidates), 1), count)
+    return candidates[torch.from_numpy(drawn).to(candidates.device)]

@@ -1,0 +1,183 @@
+"""Samplers in plain torch: every candidate interval of every ray side by side, then the kept ones packed.
+
+What the kernels must equal bit for bit in float32; runs on any device.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from nerf.twin.space import ramp, unramp, warp
+
+
+@dataclass(frozen=True, slots=True)
+class Course:
+    """Along what each ray's candidates lie: a stretch even in s, then a band even in depth; (r,) or (r, 3) tensors."""
+
+    origins: Tensor
+    """(r, 3) places of the camera centres."""
+    directions: Tensor
+    """(r, 3) change of place per metre of depth."""
+    norms: Tensor
+    """(r,) metres along the ray per metre of depth."""
+    knee_m: Tensor
+    """(r,) depth up to which spacing is linear."""
+    low: Tensor
+    """(r,) ramp of the space's near depth."""
+    span: Tensor
+    """(r,) ramp of its far depth, less low."""
+    start: Tensor
+    """(r,) s where the stretch begins."""
+    stop: Tensor
+    """(r,) s where it ends; not beyond start: no stretch."""
+    count: Tensor
+    """(r,) int32 candidates in the stretch."""
+    band0_m: Tensor
+    """(r,) depth where the band begins."""
+    band1_m: Tensor
+    """(r,) depth where it ends; not beyond band0_m: no band."""
+    shift: Tensor
+    """(r,) in (0, 1]: the candidates' edges move by this share of an interval; 1: whole intervals only."""
+    ends: Tensor | None
+    """(2, r, slots) the candidates' ends in s, given instead of a stretch and a band; equal ends: none."""
+    band_count: int
+    """Candidates in each band."""
+    slots: int
+    """Columns that hold any ray's candidates."""
+    near_m: float
+    far_m: float
+    kind: int
+
+
+@dataclass(frozen=True, slots=True)
+class Picked:
+    """Kept candidates, packed; as in nerf.samples.Samples, without padding."""
+
+    offsets: Tensor
+    ray: Tensor
+    t: Tensor
+    dt_m: Tensor
+    s0: Tensor
+    s1: Tensor
+    u: Tensor
+    table: Tensor
+
+
+def cells(u: Tensor, table: Tensor, resolution: int) -> Tensor:
+    """Return the flat index (n,) int64 of the grid cell that holds u (n, 3) of table (n,)."""
+    x, y, z = torch.clamp((u * resolution).to(torch.int64), max=resolution - 1).unbind(-1)
+    return ((table.to(torch.int64) * resolution + z) * resolution + y) * resolution + x
+
+
+def pick(course: Course, kept: Tensor | None, resolution: int) -> Picked:
+    """Return the candidates whose middle lies in a kept cell (flat uint8 grid; None: all)."""
+    s0, s1, t0, t1 = _edges(course)
+    t = (t0 + t1) * 0.5
+    place = course.origins[:, None] + t[..., None] * course.directions[:, None]
+    u, table = warp(place, course.kind)
+    chosen = t1 > t0
+    if kept is not None:
+        chosen &= kept[cells(u, table, resolution)] > 0
+    return pack(chosen, t, (t1 - t0) * course.norms[:, None], s0, s1, u, table)
+
+
+def pack(chosen: Tensor, t: Tensor, dt_m: Tensor, s0: Tensor, s1: Tensor, u: Tensor, table: Tensor) -> Picked:
+    """Pack the chosen ones of (r, n) candidates ray by ray."""
+    counts = chosen.sum(dim=1)
+    offsets = torch.cat([counts.new_zeros(1), torch.cumsum(counts, 0)])
+    ray = torch.nonzero(chosen)[:, 0].to(torch.int32)
+    return Picked(offsets, ray, t[chosen], dt_m[chosen], s0[chosen], s1[chosen], u[chosen], table[chosen])
+
+
+def _edges(course: Course) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Return s and depth of each candidate's two ends, (r, slots); empty ones have equal ends."""
+    slot = torch.arange(course.slots, device=course.start.device)[None]
+    count, knee = course.count[:, None], course.knee_m[:, None]
+    low, span, shift = course.low[:, None], course.span[:, None], course.shift[:, None]
+    near, far = course.near_m, course.far_m
+    if course.ends is not None:
+        s0, s1 = course.ends
+        t0 = torch.clamp(unramp(low + s0 * span, knee), near, far)
+        return s0, s1, t0, torch.clamp(unramp(low + s1 * span, knee), near, far)
+    start, length = course.start[:, None], (course.stop - course.start)[:, None]
+    share0, share1 = _shares(slot, shift, count)
+    s0, s1 = start + share0 * length, start + share1 * length
+    t0 = torch.clamp(unramp(low + s0 * span, knee), near, far)
+    t1 = torch.clamp(unramp(low + s1 * span, knee), near, far)
+    # The band follows the stretch's count + 1 candidates.
+    step = slot - count - 1
+    begin, width = course.band0_m[:, None], (course.band1_m - course.band0_m)[:, None]
+    share0, share1 = _shares(torch.clamp(step, min=0), shift, torch.full_like(count, course.band_count))
+    b0, b1 = begin + share0 * width, begin + share1 * width
+    in_band = (step >= 0) & (step <= course.band_count) & (width > 0)
+    in_stretch = (step < 0) & (length > 0)
+    t0, t1 = torch.where(in_band, b0, t0), torch.where(in_band, b1, t1)
+    s0 = torch.where(in_band, _spacing(b0, knee, low, span), s0)
+    s1 = torch.where(in_band, _spacing(b1, knee, low, span), s1)
+    return s0, s1, t0, torch.where(in_band | in_stretch, t1, t0)
+
+
+def _shares(index: Tensor, shift: Tensor, count: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where candidate `index` of `count` begins and ends, [0, 1]."""
+    whole = count.to(shift.dtype)
+    begin, end = (index - 1).to(shift.dtype) + shift, index.to(shift.dtype) + shift
+    return torch.clamp(begin / whole, 0, 1), torch.clamp(end / whole, 0, 1)
+
+
+def _spacing(t: Tensor, knee: Tensor, low: Tensor, span: Tensor) -> Tensor:
+    return torch.clamp((ramp(t, knee) - low) / span, 0, 1)
+
+
+def resample(
+    offsets: Tensor, s0: Tensor, s1: Tensor, weights: Tensor, targets: Tensor, margin: float, anneal: float
+) -> tuple[Tensor, Tensor]:
+    """Return the ends (r, n) of n intervals of even mass under each ray's histogram.
+
+    The histogram's bins [s0, s1] (packed, ascending, gaps allowed) are widened by `margin`, where bins overlap the larger
+    density counts, and the masses between their edges are raised to `anneal` (MipNeRF-360, appendix C). `targets`
+    (r, n + 1) are the ends' places in the cumulated mass. No interval reaches across a gap: it stays within the connected
+    bins that hold its middle. A ray without mass is sampled evenly in its bins; one without bins gets empty intervals.
+    """
+    edges, mass, gap = _dilated(offsets, s0, s1, weights, margin)
+    width = edges.diff(dim=1) * ~gap
+    mass = torch.where(mass > 0, torch.clamp(mass, min=1e-30) ** anneal, 0.0)
+    mass = torch.where(mass.sum(dim=1, keepdim=True) > 0, mass, width)
+    cumulated = torch.cumsum(torch.cat([torch.zeros_like(mass[:, :1]), mass], 1), 1)
+    cumulated = cumulated / torch.clamp(cumulated[:, -1:], min=1e-30)
+    ends = _invert(cumulated, edges, targets)[0]
+    middle = _invert(cumulated, edges, (targets[:, 1:] + targets[:, :-1]) * 0.5)[1]
+    index = torch.arange(gap.shape[1], device=gap.device).expand_as(gap)
+    first = torch.cummax(torch.where(gap, index, -1), 1)[0] + 1
+    last = torch.cummin(torch.where(gap, index, gap.shape[1]).flip(1), 1)[0].flip(1)
+    begin = torch.maximum(ends[:, :-1], edges.gather(1, first.gather(1, middle)))
+    end = torch.minimum(ends[:, 1:], edges.gather(1, last.gather(1, middle)))
+    some = (offsets[1:] > offsets[:-1])[:, None]
+    return begin * some, torch.maximum(begin, end) * some
+
+
+def _dilated(offsets: Tensor, s0: Tensor, s1: Tensor, weights: Tensor, margin: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Widen the bins: edges (r, 2b), and of the spaces between them mass and whether no bin covers them (r, 2b - 1)."""
+    counts = offsets[1:] - offsets[:-1]
+    most = max(int(counts.max()) if len(counts) else 0, 1)
+    step = torch.arange(most, device=s0.device)
+    real = step < counts[:, None]
+    index = torch.clamp(offsets[:-1, None] + step, max=max(len(s0) - 1, 0))
+    begin, end = torch.where(real, s0[index], 1.0), torch.where(real, s1[index], 1.0)
+    density = torch.where(real & (end > begin), weights[index] / torch.clamp(end - begin, min=1e-30), 0.0)
+    low, high = torch.clamp(begin - margin, min=0), torch.clamp(end + margin, max=1)
+    edges = torch.cat([low, high], 1).sort(dim=1)[0]
+    middle = (edges[:, 1:] + edges[:, :-1]) * 0.5
+    covers = (middle[..., None] >= low[:, None]) & (middle[..., None] <= high[:, None]) & real[:, None]
+    highest = torch.where(covers, density[:, None], 0.0).amax(-1)
+    return edges, highest * edges.diff(dim=1), ~covers.any(-1)
+
+
+def _invert(cumulated: Tensor, edges: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
+    """Return where the cumulated mass reaches the targets, and in which space."""
+    found = torch.searchsorted(cumulated, targets.contiguous(), right=True) - 1
+    space = torch.clamp(found, 0, cumulated.shape[1] - 2)
+    before, after = cumulated.gather(1, space), cumulated.gather(1, space + 1)
+    share = torch.clamp((targets - before) / torch.clamp(after - before, min=1e-30), 0, 1)
+    begin, end = edges.gather(1, space), edges.gather(1, space + 1)
+    return begin + share * (end - begin), space

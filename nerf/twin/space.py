@@ -1,0 +1,79 @@
+"""Where points and depths lie in a space, in plain torch: what the kernels must equal. Any dtype, any device.
+
+`place` is a point in the space's own axes, divided by its half extents: the inner region is |place| <= 1. Sums and
+products are spelt out in the kernels' order, so that float32 gives the same bits.
+"""
+
+import torch
+from torch import Tensor
+
+BOX, BALL, SPHERES = 0, 1, 2
+_LARGEST = 1e15
+"""Beyond it only the direction of a place counts: its square must not overflow float32."""
+
+
+def length(place: Tensor) -> Tensor:
+    """Return |place| (n,) of (n, 3), each no larger than 1e18."""
+    x, y, z = place.unbind(-1)
+    return torch.sqrt(x * x + y * y + z * z)
+
+
+def warp(place: Tensor, kind: int) -> tuple[Tensor, Tensor]:
+    """Map places (n, 3) to u (n, 3) in [0, 1] and the table (n,) int32 that holds them.
+
+    box: u = (x + 1) / 2, clipped. ball: u = z / 4 + 1/2 with z = x inside the unit ball and (2 - 1/|x|) x/|x| outside
+    (MipNeRF-360, equation 10). spheres: the unit ball fills table 0, the shell outside is table 1 of the same z:
+    (x/|x|, 1/|x|) of NeRF++ is what z holds.
+    """
+    inner = torch.zeros(place.shape[:-1], dtype=torch.int32, device=place.device)
+    if kind == BOX:
+        return torch.clamp(place * 0.5 + 0.5, 0, 1), inner
+    largest = place.abs().amax(dim=-1, keepdim=True)
+    place = place * torch.clamp(torch.reciprocal(largest) * _LARGEST, max=1)
+    inverse = 1 / torch.clamp(length(place), min=1)
+    shrunk = place * ((2 - inverse) * inverse)[..., None]
+    if kind == BALL:
+        return shrunk * 0.25 + 0.5, inner
+    outside = inverse < 1
+    u = torch.where(outside[..., None], shrunk * 0.25 + 0.5, place * 0.5 + 0.5)
+    return u, outside.to(torch.int32)
+
+
+def unwarp(u: Tensor, table: Tensor, kind: int, farthest: float) -> Tensor:
+    """Map u (n, 3) back to places (n, 3); what lies beyond |place| = farthest is pulled back to it."""
+    if kind == BOX:
+        return u * 2 - 1
+    z = u * 4 - 2
+    radius = length(z)
+    outer = 1 / torch.clamp(2 - radius, min=1 / farthest)
+    place = torch.where((radius > 1)[..., None], z * (outer / torch.clamp(radius, min=1))[..., None], z)
+    return place if kind == BALL else torch.where((table > 0)[..., None], place, u * 2 - 1)
+
+
+def ramp(t: Tensor, knee: Tensor) -> Tensor:
+    """Squeeze depths [0, inf) into [0, 1): linear up to the knee, at 1/2, then linear in 1/t."""
+    return torch.where(t < knee, t / (2 * knee), 1 - knee / (2 * torch.maximum(t, knee)))
+
+
+def unramp(g: Tensor, knee: Tensor) -> Tensor:
+    """Undo `ramp`."""
+    return torch.where(g < 0.5, 2 * knee * g, knee / (2 * (1 - torch.clamp(g, min=0.5))))
+
+
+def exits(origin: Tensor, direction: Tensor) -> Tensor:
+    """Return the depths (r,) where rays (places) leave the unit ball; 0 where they miss it or it lies behind."""
+    a = (direction * direction).sum(-1)
+    b = (origin * direction).sum(-1)
+    # |origin|^2 - (b^2 / a) by the closest point: no difference of large squares far from the centre.
+    closest = origin - direction * (b / a)[..., None]
+    inside = 1 - (closest * closest).sum(-1)
+    return torch.clamp((torch.sqrt(torch.clamp(inside, min=0) * a) - b) / a, min=0) * (inside > 0)
+
+
+def clip(origin: Tensor, direction: Tensor, near: Tensor, far: Tensor) -> tuple[Tensor, Tensor]:
+    """Cut depths [near, far] (r,) to the box |place| <= 1; far = near where the ray misses it."""
+    slope = torch.where(direction.abs() < 1e-12, torch.full_like(direction, 1e-12), direction)
+    one, other = (-1 - origin) / slope, (1 - origin) / slope
+    enter = torch.maximum(near, torch.minimum(one, other).amax(-1))
+    leave = torch.minimum(far, torch.maximum(one, other).amin(-1))
+    return torch.minimum(enter, far), torch.maximum(leave, torch.minimum(enter, far))
