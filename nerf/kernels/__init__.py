@@ -71,10 +71,6 @@ def kernels_for(device: torch.device) -> Kernels:
         from nerf.kernels import cpu
 
         return cpu
-    if device.type == "cuda":
-        from nerf.kernels import triton_field  # type: ignore[attr-defined]
-
-        return triton_field  # type: ignore[no-any-return]
     from nerf.kernels import plain
 
     return plain

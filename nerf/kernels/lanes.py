@@ -1,6 +1,6 @@
 """Sixteen numbers side by side as values of compiled code: what LLVM's own loop vectoriser will not do for gathers.
 
-`Floats` and `Ints` (16 x float32, 16 x int32) can be added, multiplied and combined bitwise inside `@njit` functions; the
+`Floats` and `Ints` (16 x float32, 16 x int32) can be added, multiplied and combined bitwise in `@njit` functions; the
 functions below load, store, gather and convert them. LLVM turns each into one instruction with AVX-512 and into a
 few with AVX2 or NEON, so kernels written with them run everywhere. Indices are not checked.
 """
@@ -17,7 +17,7 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 
 WIDTH = 16
 
-_I16, _I32, _F32 = ir.IntType(16), ir.IntType(32), ir.FloatType()
+_I32, _F32 = ir.IntType(32), ir.FloatType()
 _INTS, _FLOATS = ir.VectorType(_I32, WIDTH), ir.VectorType(_F32, WIDTH)
 
 
@@ -103,7 +103,7 @@ load_floats = _loader(Floats, _FLOATS, "Return 16 float32 of a flat array, from 
 load_ints = _loader(Ints, _INTS, "Return 16 int32 of a flat array, from an index on.")
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def load_int(typing: Any, array: Any, index: Any) -> Any:
     """Return one int32 of a flat array as int64."""
 
@@ -114,7 +114,7 @@ def load_int(typing: Any, array: Any, index: Any) -> Any:
     return types.int64(array, types.int64), gen
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """Write 16 float32 or int32 to a flat array, from an index on."""
 
@@ -124,19 +124,6 @@ def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.int64, value), gen
-
-
-@intrinsic  # type: ignore[misc]
-def store_halves(typing: Any, array: Any, index: Any, value: Any) -> Any:
-    """Write the low 16 bits of 16 ints to a flat array of int16, from an index on."""
-
-    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        narrow = ir.VectorType(_I16, WIDTH)
-        place = _place(context, builder, sig.args[0], args[0], args[1], narrow)
-        builder.store(builder.trunc(args[2], narrow), place, align=2)
-        return context.get_dummy_value()
-
-    return types.void(array, types.int64, Ints), gen
 
 
 def _splatter(kind: Any, scalar: Any, vector: Any, doc: str) -> Any:
@@ -173,7 +160,7 @@ bits = _converter(Floats, Ints, _INTS, "bitcast", "Return the bit patterns of fl
 from_bits = _converter(Ints, Floats, _FLOATS, "bitcast", "Return the floats with these bit patterns.")
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
     """Return a * b + c of floats, rounded once."""
 
@@ -202,7 +189,7 @@ smaller = _picker("<", "Return the smaller of two, lane by lane; the second wher
 larger = _picker(">", "Return the larger of two, lane by lane; the second where either is not a number.")
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def where_nonzero(typing: Any, test: Any, value: Any) -> Any:
     """Return floats where the ints are not 0, else 0."""
 
@@ -213,7 +200,7 @@ def where_nonzero(typing: Any, test: Any, value: Any) -> Any:
     return Floats(Ints, Floats), gen
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def gather(typing: Any, array: Any, base: Any, index: Any) -> Any:
     """Return the int32 of a flat array at base + 16 indices."""
 
@@ -229,7 +216,7 @@ def gather(typing: Any, array: Any, base: Any, index: Any) -> Any:
     return Ints(array, types.int64, Ints), gen
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def store_pairs(typing: Any, array: Any, index: Any, first: Any, second: Any) -> Any:
     """Write 16 pairs (first, second) to a flat array of float32, from an index on."""
 
@@ -242,7 +229,7 @@ def store_pairs(typing: Any, array: Any, index: Any, first: Any, second: Any) ->
     return types.void(array, types.int64, Floats, Floats), gen
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def add_pair(typing: Any, array: Any, row: Any, pairs: Any, index: Any) -> Any:
     """Add pair `index` of a flat array of pairs to pair `row` of another."""
 
@@ -256,6 +243,30 @@ def add_pair(typing: Any, array: Any, row: Any, pairs: Any, index: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.int64, pairs, types.int64), gen
+
+
+@intrinsic
+def transpose(typing: Any, array: Any, source: Any, target: Any) -> Any:
+    """Transpose 16 x 16 words of a flat array of int32, from index source on, to index target on."""
+
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        def place(start: Any, row: int) -> Any:
+            return _place(context, builder, sig.args[0], args[0], builder.add(start, start.type(WIDTH * row)), _INTS)
+
+        rows = [builder.load(place(args[1], row), align=4) for row in range(WIDTH)]
+        for step in (8, 4, 2, 1):  # swap the off-diagonal blocks of this size
+            lanes = range(WIDTH)
+            upper = ir.Constant(_INTS, [lane if not lane & step else WIDTH + lane - step for lane in lanes])
+            lower = ir.Constant(_INTS, [lane + step if not lane & step else WIDTH + lane for lane in lanes])
+            for row in (row for row in range(WIDTH) if not row & step):
+                pair = rows[row], rows[row + step]
+                rows[row] = builder.shuffle_vector(*pair, upper)
+                rows[row + step] = builder.shuffle_vector(*pair, lower)
+        for row, value in enumerate(rows):
+            builder.store(value, place(args[2], row), align=4)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, types.int64), gen
 
 
 @njit(cache=True, nogil=True)
@@ -286,7 +297,7 @@ def pack(low, high):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def exponential(x):  # type: ignore[no-untyped-def]
-    """Return e^x, relative error below 3e-7; x is clamped to [-87, 88] (Cody-Waite reduction, polynomial of degree 6)."""
+    """Return e^x, relative error below 3e-7; x is clamped to [-87, 88]. Cody-Waite reduction, polynomial."""
     x = smaller(larger(x, floats(-87.0)), floats(88.0))
     turns = truncate(x * floats(1.44269504) + floats(256.5)) - ints(256)  # nearest integer
     n = to_floats(turns)

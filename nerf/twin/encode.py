@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: "GridConfig") -> Tensor:
-    """Return features (levels, m, 2): u (m, 3) in [0, 1], table (m,), footprint (m,) or None, weights (tables, rows, 2)."""
+    """Return features (levels, m, 2) of u (m, 3) in [0, 1], table (m,), footprint (m,); weights (tables, rows, 2)."""
     features = []
     for shape in config.shapes.tolist():
         resolution, stride_y, stride_z, mask, start = shape

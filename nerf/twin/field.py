@@ -1,6 +1,6 @@
 """The small networks in plain PyTorch."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -19,19 +19,26 @@ class Layers(NamedTuple):
     colour2: Tensor
 
 
-def rounded(x: Tensor) -> Tensor:
-    """Round to bfloat16 and back, the gradient too."""
-    return _Rounded.apply(x)  # type: ignore[no-any-return,no-untyped-call]
-
-
 class _Rounded(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: object, x: Tensor) -> Tensor:
-        return x.bfloat16().to(x.dtype)
+    """Round a value to bfloat16, or its gradient, or both."""
 
     @staticmethod
-    def backward(ctx: object, d_x: Tensor) -> Tensor:
-        return d_x.bfloat16().to(d_x.dtype)
+    def forward(ctx: Any, x: Tensor, value: bool, gradient: bool) -> Tensor:
+        ctx.gradient = gradient
+        return x.bfloat16().to(x.dtype) if value else x.clone()
+
+    @staticmethod
+    def backward(ctx: Any, d_x: Tensor) -> tuple[Tensor, None, None]:
+        return d_x.bfloat16().to(d_x.dtype) if ctx.gradient else d_x, None, None
+
+
+def _cut(x: Tensor, half: bool, value: bool = True, gradient: bool = True) -> Tensor:
+    """Round where the bfloat16 kernels do, if they are to be followed."""
+    return _Rounded.apply(x, value, gradient) if half else x
+
+
+def _product(x: Tensor, weights: Tensor, half: bool) -> Tensor:
+    return x @ _cut(weights, half, gradient=False).T
 
 
 def density(features: Tensor, layers: Layers, initial: float, half: bool = False) -> tuple[Tensor, Tensor]:
@@ -40,9 +47,9 @@ def density(features: Tensor, layers: Layers, initial: float, half: bool = False
     sigma = initial * exp(min(logit, 12)); the gradient passes the limit ("truncated exponential", as Instant-NGP).
     `half` rounds where the bfloat16 kernels do.
     """
-    cut = rounded if half else _same
-    x = features.permute(1, 0, 2).flatten(1)
-    geometry = cut(torch.relu(x @ cut(layers.density0).T)) @ cut(layers.density1).T
+    x = _cut(features.permute(1, 0, 2).flatten(1), half)
+    x = _cut(torch.relu(_product(x, layers.density0, half)), half)
+    geometry = _cut(_product(x, layers.density1, half), half, value=False)
     logit = geometry[:, 0]
     limited = logit + (logit.clamp(max=LOGIT_MAX) - logit).detach()
     return initial * torch.exp(limited), geometry
@@ -55,13 +62,9 @@ def shade(
 
     The colour sees the harmonics of its ray's direction and all 16 outputs of the first network.
     """
-    cut = rounded if half else _same
     sigma, geometry = density(features, layers, initial, half)
-    x = torch.cat([cut(harmonics)[ray.long().clamp(min=0)], cut(geometry)], dim=1)
-    x = cut(torch.relu(x @ cut(layers.colour0).T))
-    x = cut(torch.relu(x @ cut(layers.colour1).T))
-    return sigma, torch.sigmoid(x @ cut(layers.colour2).T)
-
-
-def _same(x: Tensor) -> Tensor:
-    return x
+    seen = _cut(harmonics, half)[ray.long().clamp(min=0)]
+    x = torch.cat([seen, _cut(geometry, half, gradient=False)], dim=1)
+    x = _cut(torch.relu(_product(x, layers.colour0, half)), half)
+    x = _cut(torch.relu(_product(x, layers.colour1, half)), half)
+    return sigma, torch.sigmoid(_cut(_product(x, layers.colour2, half), half, value=False))

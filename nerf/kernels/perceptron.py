@@ -1,0 +1,375 @@
+"""The field's two networks on CPUs with matrix tiles: a chunk of samples goes through all layers in the core's cache.
+
+Activations are words of two bfloat16, rows 2j and 2j + 1 of 16 samples side by side: (groups of 16 samples, row pairs,
+16). That is what the grid writes and what a tile product reads; products and their sums are float32. The backward
+pass computes the chunk's forward pass again rather than keep it. Row pairs are padded with zeros to a multiple of 16.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, prange
+
+from nerf.kernels.lanes import (
+    exponential,
+    floats,
+    from_bits,
+    gather,
+    ints,
+    larger,
+    load_floats,
+    load_ints,
+    pack,
+    smaller,
+    store,
+    transpose,
+    where_nonzero,
+)
+from nerf.kernels.tiles import configure, release, tile_load, tile_product, tile_store, tile_zero
+
+Words = npt.NDArray[np.int32]
+Numbers = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
+GROUPS = 16  # of 16 samples in a chunk; a multiple of 4
+PARTS = 32  # the samples' parts, whose weight gradients are added in order, whatever the number of threads
+TILE = 256
+
+
+class Net(NamedTuple):
+    """Weights as tiles: (out / 16, in / 32) of 16 x 16 words of two bfloat16, flat, padded with zeros."""
+
+    tiles: int
+    """Rows of tiles of a hidden layer: its width / 16."""
+    density0: Words
+    density1: Words
+    colour0: Words
+    colour1: Words
+    colour2: Words
+
+
+class Totals(NamedTuple):
+    """Gradients of the weights as tiles: (out / 16, in / 16) of 16 x 16 float32, flat."""
+
+    density0: Numbers
+    density1: Numbers
+    colour0: Numbers
+    colour1: Numbers
+    colour2: Numbers
+
+
+class Asked(NamedTuple):
+    """What a field is asked."""
+
+    features: Words
+    """(levels, m) words of two features."""
+    basis: Words
+    """(8 r,) words of two harmonics of each ray's direction; empty: no colour."""
+    ray: Words
+    """(m,) index of the sample's ray; below 0: any."""
+
+
+class Work(NamedTuple):
+    """A thread's room for a chunk: inputs and rectified outputs of the layers, gradients, operands."""
+
+    x: Words
+    first: Words
+    seen: Words
+    second: Words
+    third: Words
+    last: Words
+    d_one: Words
+    d_two: Words
+    left: Words
+    right: Words
+    sums: Numbers
+    triples: Words
+
+
+@njit(cache=True, nogil=True)
+def _aligned(count, kind):  # type: ignore[no-untyped-def]
+    """Return zeros that start at a cache line."""
+    array = np.zeros(count + 16, dtype=kind)
+    start = (64 - array.ctypes.data % 64) % 64 // 4
+    return array[start : start + count]
+
+
+@njit(cache=True, nogil=True)
+def _multiply(weights, tile, depth, x, group, sums):  # type: ignore[no-untyped-def]
+    """Multiply a row of `depth` weight tiles with 4 groups of samples: sums (4, 16 outputs, 16 samples)."""
+    tile_zero(0)
+    tile_zero(1)
+    tile_zero(2)
+    tile_zero(3)
+    step = depth * TILE
+    for k in range(depth):
+        tile_load(4, weights, tile * step + k * TILE)
+        place = group * step + k * TILE
+        tile_load(5, x, place)
+        tile_product(0, 4, 5)
+        tile_load(6, x, place + step)
+        tile_product(1, 4, 6)
+        tile_load(7, x, place + 2 * step)
+        tile_product(2, 4, 7)
+        tile_load(5, x, place + 3 * step)
+        tile_product(3, 4, 5)
+    tile_store(0, sums, 0)
+    tile_store(1, sums, TILE)
+    tile_store(2, sums, 2 * TILE)
+    tile_store(3, sums, 3 * TILE)
+
+
+@njit(cache=True, nogil=True)
+def _rectified(weights, tiles, depth, x, out, groups, sums):  # type: ignore[no-untyped-def]
+    """out = max(weights x, 0)."""
+    zero = floats(0.0)
+    step = (tiles + 1) // 2 * TILE
+    for group in range(0, groups, 4):
+        for tile in range(tiles):
+            _multiply(weights, tile, depth, x, group, sums)
+            for g in range(4):
+                place = (group + g) * step + tile * 128
+                for j in range(8):
+                    low = larger(load_floats(sums, g * TILE + 32 * j), zero)
+                    high = larger(load_floats(sums, g * TILE + 32 * j + 16), zero)
+                    store(out, place + 16 * j, pack(low, high))
+
+
+@njit(cache=True, nogil=True)
+def _returned(weights, tiles, depth, d_out, x, d_x, groups, sums):  # type: ignore[no-untyped-def]
+    """d_x = weights^T d_out where x, which was rectified, is not 0; `weights` are the transpose's tiles."""
+    step = (tiles + 1) // 2 * TILE
+    for group in range(0, groups, 4):
+        for tile in range(tiles):
+            _multiply(weights, tile, depth, d_out, group, sums)
+            for g in range(4):
+                place = (group + g) * step + tile * 128
+                for j in range(8):
+                    was = load_ints(x, place + 16 * j)
+                    low = where_nonzero(was & ints(0xFFFF), load_floats(sums, g * TILE + 32 * j))
+                    high = where_nonzero(was & ints(-65536), load_floats(sums, g * TILE + 32 * j + 16))
+                    store(d_x, place + 16 * j, pack(low, high))
+
+
+@njit(cache=True, nogil=True)
+def _pair_samples(x, depth, tile, group, out, place):  # type: ignore[no-untyped-def]
+    """Write 16 rows of 2 groups as words of two samples, lane s of one and of the other: (16 rows, 16)."""
+    first = group * depth * TILE + tile * 128
+    second = first + depth * TILE
+    for j in range(8):
+        one, two = load_ints(x, first + 16 * j), load_ints(x, second + 16 * j)
+        store(out, place + 32 * j, (one & ints(0xFFFF)) | (two << ints(16)))
+        store(out, place + 32 * j + 16, (one >> ints(16)) | (two & ints(-65536)))
+
+
+@njit(cache=True, nogil=True)
+def _accumulate(d_out, tiles, x, depth, groups, left, right, total):  # type: ignore[no-untyped-def]
+    """total += d_out x^T: tiles (out / 16, in / 16) of 16 x 16 float32."""
+    pairs = groups // 2
+    for tile in range(tiles):
+        for p in range(pairs):
+            _pair_samples(d_out, (tiles + 1) // 2, tile, 2 * p, left, (tile * pairs + p) * TILE)
+    for tile in range(2 * depth):
+        for p in range(pairs):
+            place = (tile * pairs + p) * TILE
+            _pair_samples(x, depth, tile, 2 * p, right, place)
+            transpose(right, place, place)
+    for tile in range(tiles):
+        for column in range(0, 2 * depth, 2):
+            place = (tile * 2 * depth + column) * TILE
+            tile_load(0, total, place)
+            tile_load(1, total, place + TILE)
+            for p in range(pairs):
+                tile_load(2, left, (tile * pairs + p) * TILE)
+                tile_load(3, right, (column * pairs + p) * TILE)
+                tile_product(0, 2, 3)
+                tile_load(4, right, ((column + 1) * pairs + p) * TILE)
+                tile_product(1, 2, 4)
+            tile_store(0, total, place)
+            tile_store(1, total, place + TILE)
+
+
+@njit(cache=True, nogil=True)
+def _densities(weights, depth, hidden, seen, groups, initial, sums, sigma, first):  # type: ignore[no-untyped-def]
+    """Write densities, and the geometry to the upper half of the colour's input."""
+    for group in range(0, groups, 4):
+        _multiply(weights, 0, depth, hidden, group, sums)
+        for g in range(4):
+            logit = smaller(load_floats(sums, g * TILE), floats(12.0))  # LOGIT_MAX of the twin
+            store(sigma, first + 16 * (group + g), exponential(logit) * floats(np.float32(initial)))
+            for j in range(8):
+                low, high = load_floats(sums, g * TILE + 32 * j), load_floats(sums, g * TILE + 32 * j + 16)
+                store(seen, (group + g) * TILE + 128 + 16 * j, pack(low, high))
+
+
+@njit(cache=True, nogil=True)
+def _colours(weights, depth, hidden, groups, sums, rgb, first):  # type: ignore[no-untyped-def]
+    """Write colours (m, 3): the sigmoid of the last layer."""
+    one, zero = floats(1.0), floats(0.0)
+    for group in range(0, groups, 4):
+        _multiply(weights, 0, depth, hidden, group, sums)
+        for g in range(4):
+            start = 3 * (first + 16 * (group + g))
+            for channel in range(3):
+                place = g * TILE + 16 * channel
+                store(sums, place, one / (one + exponential(zero - load_floats(sums, place))))
+                for lane in range(16):
+                    rgb[start + 3 * lane + channel] = sums[place + lane]
+
+
+@njit(cache=True, nogil=True)
+def _forward(net, asked, initial, first, groups, work, sigma, rgb, target):  # type: ignore[no-untyped-def]
+    """Take a chunk through both networks; results go to `target` on, activations stay in `work`."""
+    depth = (net.tiles + 1) // 2
+    for group in range(groups):
+        for level in range(asked.features.shape[0]):
+            store(work.x, group * TILE + 16 * level, load_ints(asked.features[level], first + 16 * group))
+    _rectified(net.density0, net.tiles, 1, work.x, work.first, groups, work.sums)
+    _densities(net.density1, depth, work.first, work.seen, groups, initial, work.sums, sigma, target)
+    if asked.basis.size:
+        for group in range(groups):
+            row = larger(load_ints(asked.ray, first + 16 * group), ints(0)) << ints(3)
+            for j in range(8):
+                store(work.seen, group * TILE + 16 * j, gather(asked.basis, np.int64(j), row))
+        _rectified(net.colour0, net.tiles, 1, work.seen, work.second, groups, work.sums)
+        _rectified(net.colour1, net.tiles, depth, work.second, work.third, groups, work.sums)
+        _colours(net.colour2, depth, work.third, groups, work.sums, rgb, target)
+
+
+@njit(cache=True, nogil=True)
+def _colours_back(net, back, work, total, d_rgb, rgb, first, groups):  # type: ignore[no-untyped-def]
+    """Take the gradient of a chunk's colours back to the first layer that only colour has; `rgb` is the chunk's own."""
+    depth = (net.tiles + 1) // 2
+    one, zero, triples = floats(1.0), floats(0.0), load_ints(work.triples, 0)
+    for group in range(groups):
+        for j in range(2):
+            low = high = zero
+            for channel in range(2 * j, min(2 * j + 2, 3)):
+                y = from_bits(gather(rgb, np.int64(48 * group + channel), triples))
+                d = from_bits(gather(d_rgb, np.int64(3 * (first + 16 * group) + channel), triples)) * y * (one - y)
+                low, high = (low, d) if channel % 2 else (d, high)
+            store(work.last, group * TILE + 16 * j, pack(low, high))
+    _accumulate(work.last, 1, work.third, depth, groups, work.left, work.right, total.colour2)
+    _returned(back.colour2, net.tiles, 1, work.last, work.third, work.d_one, groups, work.sums)
+    _accumulate(work.d_one, net.tiles, work.second, depth, groups, work.left, work.right, total.colour1)
+    _returned(back.colour1, net.tiles, depth, work.d_one, work.second, work.d_two, groups, work.sums)
+    _accumulate(work.d_two, net.tiles, work.seen, 1, groups, work.left, work.right, total.colour0)
+
+
+@njit(cache=True, nogil=True)
+def _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups):  # type: ignore[no-untyped-def]
+    """Write the gradient of the first network's outputs: of the geometry, from colour, and of the logit."""
+    depth = (net.tiles + 1) // 2
+    for group in range(0, groups, 4):
+        if coloured:
+            _multiply(back.colour0, 1, depth, work.d_two, group, work.sums)
+        else:
+            work.sums[:] = 0
+        for g in range(4):
+            place = 16 * (group + g)
+            d_logit = load_floats(d_sigma, first + place) * load_floats(sigma, place)
+            store(work.sums, g * TILE, load_floats(work.sums, g * TILE) + d_logit)
+            for j in range(8):
+                low = load_floats(work.sums, g * TILE + 32 * j)
+                high = load_floats(work.sums, g * TILE + 32 * j + 16)
+                store(work.last, (group + g) * TILE + 16 * j, pack(low, high))
+
+
+@njit(cache=True, nogil=True)
+def _features_back(net, back, work, first, groups, d_features):  # type: ignore[no-untyped-def]
+    """Write the gradient of the features, (levels, m)."""
+    depth = (net.tiles + 1) // 2
+    for group in range(0, groups, 4):
+        for level in range(d_features.shape[0]):
+            if level % 8 == 0:
+                _multiply(back.density0, level // 8, depth, work.d_one, group, work.sums)
+            for g in range(4):
+                low = load_floats(work.sums, g * TILE + level % 8 * 32)
+                high = load_floats(work.sums, g * TILE + level % 8 * 32 + 16)
+                store(d_features[level], first + 16 * (group + g), pack(low, high))
+
+
+@njit(cache=True, nogil=True)
+def _workspace(tiles):  # type: ignore[no-untyped-def]
+    """Return a thread's room for a chunk."""
+    wide = (tiles + 1) // 2 * GROUPS * TILE
+    narrow = GROUPS * TILE
+    return Work(
+        x=_aligned(narrow, np.int32),
+        first=_aligned(wide, np.int32),
+        seen=_aligned(narrow, np.int32),
+        second=_aligned(wide, np.int32),
+        third=_aligned(wide, np.int32),
+        last=_aligned(narrow, np.int32),
+        d_one=_aligned(wide, np.int32),
+        d_two=_aligned(wide, np.int32),
+        left=_aligned(wide, np.int32),
+        right=_aligned(wide, np.int32),
+        sums=_aligned(4 * TILE, np.float32),
+        triples=np.arange(0, 48, 3).astype(np.int32),
+    )
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def forward(net: Net, asked: Asked, initial: float, config: Bytes, sigma: Numbers, rgb: Numbers, threads: int) -> None:
+    """Write densities (m,) and, if there is a basis, colours (3 m,); m is a multiple of 64."""
+    count = len(sigma)
+    stretch = (count // 64 + PARTS - 1) // PARTS * 64
+    for thread in prange(threads):
+        configure(config)
+        work = _workspace(net.tiles)
+        for part in range(thread, PARTS, threads):
+            last = min(count, (part + 1) * stretch)
+            for first in range(part * stretch, last, 16 * GROUPS):
+                groups = min(GROUPS, (last - first) // 16)
+                _forward(net, asked, initial, first, groups, work, sigma, rgb, first)
+        release()
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def backward(
+    net: Net,
+    back: Net,
+    asked: Asked,
+    initial: float,
+    config: Bytes,
+    d_sigma: Numbers,
+    d_rgb: Numbers,
+    d_features: Words,
+    totals: Totals,
+    threads: int,
+) -> None:
+    """Write the features' gradient (levels, m) and every part's gradient of the weights; `back`: the transposes.
+
+    totals: zeros, (PARTS, words of the layer's tiles).
+    """
+    count = len(d_sigma)
+    stretch = (count // 64 + PARTS - 1) // PARTS * 64
+    depth = (net.tiles + 1) // 2
+    for thread in prange(threads):
+        configure(config)
+        work = _workspace(net.tiles)
+        sigma = np.empty(16 * GROUPS, dtype=np.float32)
+        rgb = np.empty(48 * GROUPS, dtype=np.float32)
+        for part in range(thread, PARTS, threads):
+            total = Totals(
+                totals.density0[part],
+                totals.density1[part],
+                totals.colour0[part],
+                totals.colour1[part],
+                totals.colour2[part],
+            )
+            last = min(count, (part + 1) * stretch)
+            for first in range(part * stretch, last, 16 * GROUPS):
+                groups = min(GROUPS, (last - first) // 16)
+                _forward(net, asked, initial, first, groups, work, sigma, rgb, 0)
+                coloured = asked.basis.size > 0
+                if coloured:
+                    work.last[:] = 0
+                    _colours_back(net, back, work, total, d_rgb, rgb, first, groups)
+                _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups)
+                _accumulate(work.last, 1, work.first, depth, groups, work.left, work.right, total.density1)
+                _returned(back.density1, net.tiles, 1, work.last, work.first, work.d_one, groups, work.sums)
+                _accumulate(work.d_one, net.tiles, work.x, 1, groups, work.left, work.right, total.density0)
+                _features_back(net, back, work, first, groups, d_features)
+        release()
