@@ -74,7 +74,7 @@ def mean(scores: Sequence[ImageScore]) -> dict[str, float]:
 
     LPIPS is there only where every image has it. NaN without images.
     """
-    rows = [score.figures() for score in scores] or [ImageScore(*[np.nan] * 4).figures()]
+    rows = [score.figures() for score in scores] or [ImageScore(np.nan, np.nan, np.nan, np.nan).figures()]
     common = [key for key in rows[0] if all(key in row for row in rows)]
     return {key: float(np.mean([row[key] for row in rows])) for key in common}
 

@@ -1,0 +1,88 @@
+"""What a field shows from one place, and the files that keep it.
+
+renders/rgb/ID.png           8 bits, rounded
+       /depth/ID.png         uint16, metres x 256, rounded, 0 = no value: where the field is clearer than OPAQUE
+       /depth_colour/ID.png  the same for eyes
+       /error/ID.jpg         image, render, colour error, depth and depth error with their bars
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TypeAlias
+
+import numpy as np
+
+from eval.image import as_uint8
+from priors import codecs
+from priors.colours import GOOD_TO_BAD, colour_depth
+from priors.picture import Bar, Tile, depth_tile, error_tile, panel
+from priors.types import Camera, Depth, FloatMap, Image, Matrix
+
+OPAQUE = 0.5
+"""Least opacity of a pixel whose depth is kept: below it, most of the light is the sky's."""
+KEPT = ("rgb", "depth", "depth_colour", "error")
+COLOUR_STEPS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+"""Edges of the colour error's map, steps of 8 bits."""
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedView:
+    """What a field shows from one place."""
+
+    rgb: FloatMap
+    """(height, width, 3) in [0, 1]."""
+    depth_m: FloatMap
+    """(height, width) expected camera-z depth of what is not sky, metres."""
+    median_m: FloatMap
+    """(height, width) camera-z depth that half of the light comes from beyond; 0 where it never is."""
+    opacity: FloatMap
+    """(height, width) share of the light that is not the sky's, [0, 1]."""
+
+    def solid(self, opacity: float = OPAQUE) -> Depth:
+        """Return the expected depth where the field is at least so opaque."""
+        sure = (self.opacity >= opacity) & np.isfinite(self.depth_m) & (self.depth_m > 0)
+        return Depth(np.where(sure, self.depth_m, 0).astype(np.float32))
+
+
+Render: TypeAlias = Callable[[Matrix, Camera], RenderedView]
+"""Renders a field from T_world_cam (4, 4), metres, through a camera."""
+
+
+def picture_path(renders: Path, kind: str, id_: str) -> Path:
+    """Return where a frame's file of a kind (one of KEPT) is, or will be."""
+    return renders / kind / f"{id_}{'.jpg' if kind == 'error' else '.png'}"
+
+
+def save_view(renders: Path, id_: str, view: RenderedView) -> None:
+    """Write a view's colour and depth files; values too far for 16 bits (256 m) become no value."""
+    depth = view.solid()
+    codecs.write_image(picture_path(renders, "rgb", id_), as_uint8(view.rgb))
+    codecs.write_image(picture_path(renders, "depth_colour", id_), colour_depth(depth.depth_m))
+    codecs.write_depth_png(picture_path(renders, "depth", id_), depth.depth_m)
+
+
+def save_error(renders: Path, id_: str, view: RenderedView, image: Image, truth: Depth | None) -> None:
+    """Write the panel that compares a view with the image and, where there is one, the true depth."""
+    rgb, depth = as_uint8(view.rgb), view.solid()
+    tiles = [
+        Tile(image, f"image {id_}"),
+        Tile(rgb, "render"),
+        Tile(paint_colour_error(rgb, image), "colour error, steps of 8 bits", colour_error_bar()),
+        depth_tile(depth, "depth"),
+    ]
+    if truth is not None:
+        tiles += [depth_tile(truth, "true depth"), error_tile(Depth(view.depth_m), truth)]
+    codecs.write_image(picture_path(renders, "error", id_), panel(tiles, tile_width=min(828, max(400, rgb.shape[1]))))
+
+
+def paint_colour_error(rgb: Image, image: Image) -> Image:
+    """Colour the root mean squared difference over the channels, in steps that double: blue is good, red is bad."""
+    difference = rgb.astype(np.float64) - image
+    return GOOD_TO_BAD[np.digitize(np.sqrt(np.mean(difference**2, axis=2)), COLOUR_STEPS)]
+
+
+def colour_error_bar() -> Bar:
+    """Make the bar of `paint_colour_error`."""
+    steps = len(COLOUR_STEPS) + 1
+    return Bar(GOOD_TO_BAD, [((i + 1) / steps, f"{step:g}") for i, step in enumerate(COLOUR_STEPS)])

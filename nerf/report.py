@@ -1,0 +1,271 @@
+"""The report of a run: its field's held-out views scored, pictured, and kept.
+
+    <run>/metrics.json           figures, pooled and of each frame (format below)
+         /depth.json             the depth figures as `priors eval` writes them: a row for its tables
+         /renders/...            nerf.pictures
+         /renders/scores.jsonl   one line a scored frame: what a killed report goes on from
+
+metrics.json, version 1: `info` (what was run), `protocol`, `truth`, `metrics` (for reading: NaN is null, infinity
+"inf") and `frames` (sums and errors: what is read back).
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+
+from eval.depth import DepthSums
+from eval.image import ImageScore, mean
+from eval.lpips import HOW_TO_GET, Lpips
+from eval.protocol import Protocol, ScoreError, preset
+from eval.result import Result, Row, score_frame
+from nerf.pictures import KEPT, Render, picture_path, save_error, save_view
+from nerf.scene import Scene
+from priors import codecs
+from priors.errors import DataError
+from priors.methods.lidar import Lidar
+from priors.types import Depth, Drive
+
+FORMAT = 1
+DEPTH_KEYS = ("rmse", "abs_rel", "delta_1", "mae", "density")
+Step = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class FrameScore:
+    """What one held-out view scores."""
+
+    frame: str
+    image: ImageScore
+    depth: Row | None
+    """Of the expected depth; None without a truth."""
+    median: Row | None
+    """Of the median depth."""
+    seconds: float
+    """Time to render."""
+
+    def figures(self) -> dict[str, float]:
+        """Return the view's figures; those of the median depth are named median_*."""
+        depth = {} if self.depth is None else self.depth.metrics()
+        median = {} if self.median is None else self.median.metrics()
+        return {
+            **self.image.figures(),
+            **{key: depth.get(key, math.nan) for key in DEPTH_KEYS},
+            **{f"median_{key}": median.get(key, math.nan) for key in DEPTH_KEYS},
+            "render_s": self.seconds,
+        }
+
+
+@dataclass(frozen=True)
+class Report:
+    """What a run scores on its held-out views."""
+
+    protocol: Protocol
+    frames: tuple[FrameScore, ...]
+    info: dict[str, Any]
+    """What was run; `name` and `config` among it. Anything JSON holds."""
+    remarks: tuple[str, ...] = ()
+    """Figures that are absent, and why, one line each."""
+
+    def metrics(self) -> dict[str, float]:
+        """Return every figure's mean over the views; views without a figure do not count in it."""
+        rows = [frame.figures() for frame in self.frames]
+        image = mean([frame.image for frame in self.frames])
+        keys = [key for key in (rows[0] if rows else {}) if key not in image and not key.startswith("lpips_")]
+        known = {key: [row[key] for row in rows if not math.isnan(row[key])] for key in keys}
+        return image | {key: math.fsum(values) / len(values) if values else math.nan for key, values in known.items()}
+
+    def depth(self) -> Result:
+        """Return the expected depth's figures as `eval` keeps them."""
+        rows = tuple(frame.depth for frame in self.frames if frame.depth is not None)
+        return Result(self.protocol, rows, {"prior": self.info.get("name", "field"), **self.info})
+
+    def save(self, folder: Path) -> None:
+        """Write metrics.json, and depth.json where there is a true depth, each atomically."""
+        content = {
+            "format": FORMAT,
+            "info": self.info,
+            "protocol": asdict(self.protocol),
+            "remarks": self.remarks,
+            "metrics": self.metrics(),
+            "frames": [asdict(frame) | {"metrics": frame.figures()} for frame in self.frames],
+        }
+        if self.depth().rows:
+            self.depth().save(folder / "depth.json")
+        codecs.write_bytes(
+            folder / "metrics.json", (json.dumps(_plain(content), indent=1, allow_nan=False) + "\n").encode()
+        )
+
+    @classmethod
+    def load(cls, path: Path) -> Self:
+        """Read a metrics.json.
+
+        Raises:
+            DataError: it is missing, damaged or of another format.
+        """
+        try:
+            content = json.loads(path.read_text())
+            if content["format"] != FORMAT:
+                raise DataError(f"{path}: metrics of format {content['format']}, expected {FORMAT}: run nerf eval")
+            protocol = Protocol(**content["protocol"] | {"ranges_m": tuple(content["protocol"]["ranges_m"])})
+            return cls(protocol, tuple(map(_frame, content["frames"])), content["info"], tuple(content["remarks"]))
+        except OSError as error:
+            raise DataError(f"{path}: cannot be read ({error.strerror}): run nerf eval") from error
+        except (ValueError, KeyError, TypeError) as error:
+            if isinstance(error, DataError):
+                raise
+            raise DataError(f"{path}: expected a run's metrics, found damaged or other data: run nerf eval") from error
+
+
+class Truths:
+    """The true depth of a drive's frames: its own, or else one LiDAR sweep's; decided for all frames at once."""
+
+    def __init__(self, drive: Drive, ids: Sequence[str]) -> None:
+        self._frames = {id_: position for position, id_ in enumerate(drive.ids)}
+        self._drive = drive
+        first = [drive[self._frames[id_]] for id_ in ids]
+        self.label = "none"
+        """none, annotated or lidar: which truth it is."""
+        self.why_none = ""
+        if first and all(frame.has("truth") for frame in first):
+            self.label = "annotated"
+        elif first and all(frame.has("sweep") for frame in first):
+            self.label = "lidar"
+        elif first:
+            self.why_none = f"no depth figures: {first[0].missing.get('truth', 'this drive has no true depth')}"
+
+    def __call__(self, id_: str) -> Depth | None:
+        """Return a frame's true depth; None where there is none."""
+        if self.label == "none":
+            return None
+        frame = self._drive[self._frames[id_]]
+        if self.label == "annotated":
+            return frame.truth()
+        if frame.sweep() is None:
+            return None  # the scanner missed this frame
+        return Lidar(sweeps=1).resolve(frame)(frame)
+
+
+def report(
+    scene: Scene,
+    truths: Truths,
+    render: Render,
+    folder: Path,
+    checkpoint: str,
+    info: dict[str, Any],
+    lpips: Lpips | None = None,
+    protocol: str = "paper",
+    on_frame: Step = lambda: None,
+) -> Report:
+    """Render and score the scene's held-out views, and write all files of a run's report.
+
+    Frames that this checkpoint has rendered already are not rendered again; an LPIPS that they lack is added.
+
+    Args:
+        scene: whose held-out frames are scored.
+        truths: the drive's true depths.
+        render: the field.
+        folder: the run's folder.
+        checkpoint: what tells this field from others: a hash of its weights.
+        info: what was run; see Report.
+        lpips: None leaves that figure out.
+        protocol: a preset of eval.protocol for the depth.
+        on_frame: called after each frame.
+
+    Raises:
+        DataError: there is no held-out frame, or a render is damaged (NaN).
+    """
+    if not scene.test:
+        raise DataError(f"{scene.name}: none of the {len(scene.ids)} frames is held out: take 10 frames or more")
+    rules = replace(preset(protocol), truth=truths.label)
+    key = f"{checkpoint}/{rules.describe()}"
+    kept = _kept(folder / "renders", key)
+    frames = []
+    for position in scene.test:
+        id_, image = scene.ids[position], np.asarray(scene.images[position])
+        found = kept.get(id_)
+        if found is None:
+            found = _score(scene, position, truths(id_), render, folder / "renders", rules)
+        if lpips is not None and lpips.net not in found.image.lpips:
+            rgb = codecs.read_image(picture_path(folder / "renders", "rgb", id_))
+            found = replace(found, image=replace(found.image, lpips={lpips.net: lpips(rgb, image)}))
+        if found is not kept.get(id_):
+            _keep(folder / "renders", key, found)
+        frames.append(found)
+        on_frame()
+    lacking = () if lpips is not None or all(frame.image.lpips for frame in frames) else (HOW_TO_GET,)
+    remarks = (*((truths.why_none,) if truths.why_none else ()), *lacking)
+    made = Report(rules, tuple(frames), info, remarks)
+    made.save(folder)
+    return made
+
+
+def _score(
+    scene: Scene, position: int, truth: Depth | None, render: Render, renders: Path, rules: Protocol
+) -> FrameScore:
+    """Render a view, write its pictures and score it."""
+    id_, image = scene.ids[position], np.asarray(scene.images[position])
+    start = time.perf_counter()
+    view = render(scene.T_world_cam[position], scene.camera)
+    seconds = time.perf_counter() - start
+    try:
+        score = ImageScore.over(view.rgb, image)
+        rows = [
+            None if truth is None else score_frame(id_, depth_m, None, truth.depth_m, rules)
+            for depth_m in (view.depth_m, view.median_m)
+        ]
+    except ScoreError as error:
+        raise DataError(f"{scene.name}: frame {id_}: {error}") from error
+    save_view(renders, id_, view)
+    save_error(renders, id_, view, image, truth)
+    return FrameScore(id_, score, rows[0], rows[1], seconds)
+
+
+def _kept(renders: Path, key: str) -> dict[str, FrameScore]:
+    """Return the frames that were scored under this key and whose pictures are all there."""
+    path = renders / "scores.jsonl"
+    found = {}
+    for text in path.read_text().splitlines() if path.exists() else []:
+        try:
+            line = json.loads(text)
+            if line["key"] == key:
+                found[line["frame"]] = _frame(line)
+        except (ValueError, KeyError, TypeError):
+            continue  # cut off by a kill
+    return {id_: frame for id_, frame in found.items() if all(picture_path(renders, k, id_).exists() for k in KEPT)}
+
+
+def _keep(renders: Path, key: str, frame: FrameScore) -> None:
+    """Append a frame's line; on a line of its own even where the last one was cut off."""
+    path = renders / "scores.jsonl"
+    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
+    with path.open("a") as file:
+        file.write("\n" * (not whole) + json.dumps({"key": key, **asdict(frame)}) + "\n")
+
+
+def _frame(entry: dict[str, Any]) -> FrameScore:
+    """Read what asdict made of a frame's score; other keys are ignored."""
+    depth, median = _row(entry["depth"]), _row(entry["median"])
+    return FrameScore(entry["frame"], ImageScore(**entry["image"]), depth, median, entry["seconds"])
+
+
+def _row(entry: dict[str, Any] | None) -> Row | None:
+    if entry is None:
+        return None
+    return Row(entry["frame"], DepthSums(**entry["depth"]), None, tuple(DepthSums(**part) for part in entry["ranges"]))
+
+
+def _plain(value: Any) -> Any:
+    """Make what JSON holds of figures, however deep: NaN is null, infinity "inf"."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float) and not math.isfinite(value):
+        return None if math.isnan(value) else str(value)
+    return value
