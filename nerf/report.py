@@ -193,7 +193,7 @@ def report(
             found = _score(scene, position, truths(id_), render, folder / "renders", rules)
         if lpips is not None and lpips.net not in found.image.lpips:
             rgb = codecs.read_image(picture_path(folder / "renders", "rgb", id_))
-            found = replace(found, image=replace(found.image, lpips={lpips.net: lpips(rgb, image)}))
+            found = replace(found, image=replace(found.image, lpips=found.image.lpips | {lpips.net: lpips(rgb, image)}))
         if found is not kept.get(id_):
             _keep(folder / "renders", key, found)
         frames.append(found)

@@ -1,0 +1,170 @@
+"""What a field leaves to other programs: a coloured point cloud, and a mesh through open3d."""
+
+import os
+import uuid
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from eval.image import as_uint8
+from nerf.pictures import OPAQUE, Render, RenderedView
+from priors.errors import DataError
+from priors.geometry import invert, rays
+from priors.types import Camera, Depth, Image, Matrix
+
+POINT = np.dtype(
+    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
+)  # fmt: skip
+HEADER_BYTES = 320  # filled up, since the number of points is known last
+Points: TypeAlias = npt.NDArray[np.void]
+Poses = npt.NDArray[np.float64]
+Step = Callable[[], None]
+
+
+@dataclass(frozen=True)
+class CloudConfig:
+    """What is taken of the rendered views."""
+
+    opacity: float = OPAQUE
+    """Least opacity of a pixel that is taken."""
+    farthest_m: float = 60.0
+    """Largest camera-z depth that is taken, metres: far depth is rough."""
+    voxel_m: float = 0.1
+    """One point, or one cell of the mesh's volume, in a cube of this side, metres."""
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.opacity <= 1 and self.farthest_m > 0 and self.voxel_m > 0):
+            raise DataError(f"expected an opacity from 0 to 1, farthest and voxel above 0 m, found {self}")
+
+
+def write_cloud(
+    path: Path, render: Render, camera: Camera, T_world_cam: Poses, config: CloudConfig, on_view: Step = lambda: None
+) -> int:
+    """Render views at poses (n, 4, 4) and write their pixels as points in the world, one a voxel, the first seen.
+
+    Returns:
+        How many points were written.
+    """
+    seen = np.zeros(0, dtype=np.int64)
+
+    def parts() -> Iterable[Points]:
+        nonlocal seen
+        for pose in T_world_cam:
+            points = view_points(render(pose, camera), camera, pose, config)
+            cells = cells_of(points, config.voxel_m)
+            new = ~np.isin(cells, seen)
+            seen = np.concatenate([seen, cells[new]])
+            yield points[new]
+            on_view()
+
+    return write_ply(path, parts())
+
+
+def view_points(view: RenderedView, camera: Camera, T_world_cam: Matrix, config: CloudConfig) -> Points:
+    """Return a view's pixels as world points, metres, one a voxel: (n,) POINT."""
+    depth = _taken(view, config)
+    xyz = (rays(camera)[depth.valid] * depth.depth_m[depth.valid, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
+    points = np.zeros(len(xyz), POINT)
+    for axis, name in enumerate("xyz"):
+        points[name] = xyz[:, axis]
+    for channel, name in enumerate(("red", "green", "blue")):
+        points[name] = as_uint8(view.rgb)[depth.valid][:, channel]
+    _, first = np.unique(cells_of(points, config.voxel_m), return_index=True)
+    return points[np.sort(first)]
+
+
+def cells_of(points: Points, voxel_m: float) -> npt.NDArray[np.int64]:
+    """Number the voxel of each point (n,): 21 bits an axis, so cells repeat after 2^21 of them, 200 km of 0.1 m."""
+    number = np.zeros(len(points), dtype=np.int64)
+    for name in "xyz":
+        number = (number << 21) | (np.floor(points[name] / voxel_m).astype(np.int64) & ((1 << 21) - 1))
+    return number
+
+
+def write_ply(path: Path, parts: Iterable[Points]) -> int:
+    """Write points, (n,) POINT at a time, as binary little-endian PLY, atomically; returns how many."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
+    try:
+        with temporary.open("wb") as file:
+            file.write(_header(0))
+            count = 0
+            for part in parts:
+                file.write(part.tobytes())
+                count += len(part)
+            file.seek(0)
+            file.write(_header(count))
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return count
+
+
+def _header(count: int) -> bytes:
+    """Make a header that is as long for every count."""
+    kinds = {"<f4": "float", "|u1": "uchar"}
+    assert POINT.names is not None
+    properties = [f"property {kinds[POINT[name].str]} {name}" for name in POINT.names]
+    lines = ["ply", "format binary_little_endian 1.0", "comment metres, in the drive's world frame"]
+    lines += [f"element vertex {count}", *properties, "end_header"]
+    text = "\n".join([*lines[:2], "comment ", *lines[2:]]) + "\n"
+    return text.replace("comment \n", f"comment {'-' * (HEADER_BYTES - len(text))}\n", 1).encode()
+
+
+def write_mesh(
+    path: Path, render: Render, camera: Camera, T_world_cam: Poses, config: CloudConfig, on_view: Step = lambda: None
+) -> int:
+    """Fuse rendered views at poses (n, 4, 4) into a coloured mesh (.ply, .obj, .glb); returns its triangles.
+
+    A truncated signed distance volume (Curless and Levoy, SIGGRAPH 1996) through open3d.
+
+    Raises:
+        DataError: open3d cannot be imported, or cannot write such a file.
+    """
+    open3d = _open3d()
+    pipeline = open3d.pipelines.integration
+    volume = pipeline.ScalableTSDFVolume(
+        voxel_length=config.voxel_m, sdf_trunc=4 * config.voxel_m, color_type=pipeline.TSDFVolumeColorType.RGB8
+    )
+    height, width = camera.size
+    K = camera.K
+    intrinsic = open3d.camera.PinholeCameraIntrinsic(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    for pose in T_world_cam:
+        view = render(pose, camera)
+        volume.integrate(_rgbd(open3d, as_uint8(view.rgb), _taken(view, config), config), intrinsic, invert(pose))
+        on_view()
+    mesh = volume.extract_triangle_mesh()
+    mesh.compute_vertex_normals()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not open3d.io.write_triangle_mesh(str(path), mesh):
+        raise DataError(f"{path}: open3d cannot write this kind of file: name it .ply, .obj or .glb")
+    return len(mesh.triangles)
+
+
+def _open3d() -> Any:
+    """Import open3d, or say what it lacks."""
+    try:
+        return import_module("open3d")
+    except (ImportError, OSError) as error:
+        raise DataError(
+            f"a mesh needs open3d, which cannot be imported ({error}): pip install 'roadprior[mesh]' and "
+            "apt-get install libusb-1.0-0 libgl1; a point cloud needs neither"
+        ) from error
+
+
+def _rgbd(open3d: Any, rgb: Image, depth: Depth, config: CloudConfig) -> Any:
+    image, depth_m = open3d.geometry.Image(np.ascontiguousarray(rgb)), open3d.geometry.Image(depth.depth_m)
+    return open3d.geometry.RGBDImage.create_from_color_and_depth(
+        image, depth_m, depth_scale=1.0, depth_trunc=config.farthest_m, convert_rgb_to_intensity=False
+    )
+
+
+def _taken(view: RenderedView, config: CloudConfig) -> Depth:
+    """Return the depth of the pixels that are taken."""
+    depth = view.solid(config.opacity)
+    return depth.keep(depth.depth_m <= np.float32(config.farthest_m))

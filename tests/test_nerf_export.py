@@ -1,0 +1,181 @@
+"""Videos, point clouds and meshes of a wall that is rendered exactly."""
+
+import sys
+import types
+
+import cv2
+import numpy as np
+import pytest
+
+from nerf.export import CloudConfig, cells_of, write_cloud, write_mesh
+from nerf.pictures import RenderedView
+from nerf.video import VideoConfig, interpolate, write_video
+from priors.errors import DataError
+from priors.types import Camera
+
+CAMERA = Camera(np.array([[40.0, 0, 24], [0, 40, 15], [0, 0, 1]]), (31, 49))
+WALL_M = 10.0
+"""The world plane z = 10 m, seen by cameras that look along z."""
+
+
+def wall(T_world_cam, camera):
+    """Red grows with x; the top rows are sky."""
+    height, width = camera.size
+    depth_m = np.full((height, width), WALL_M - T_world_cam[2, 3], np.float32)
+    opacity = np.ones_like(depth_m)
+    opacity[:5] = 0.1
+    rgb = np.zeros((height, width, 3), np.float32)
+    rgb[..., 0] = np.arange(width) / width
+    return RenderedView(rgb, depth_m, depth_m, opacity)
+
+
+def poses(*z_m):
+    found = np.tile(np.eye(4), (len(z_m), 1, 1))
+    found[:, 2, 3] = z_m
+    return found
+
+
+def read_ply(path):
+    """Read a PLY file by its header, as a stranger would."""
+    head, body = path.read_bytes().split(b"end_header\n", 1)
+    lines = head.decode().splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    kinds = {"float": "<f4", "uchar": "u1"}
+    fields = [line.split()[1:] for line in lines if line.startswith("property")]
+    count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
+    points = np.frombuffer(body, np.dtype([(name, kinds[kind]) for kind, name in fields]))
+    assert len(points) == count
+    return points
+
+
+def test_a_cloud_holds_the_opaque_pixels_in_the_world(tmp_path):
+    config = CloudConfig(voxel_m=1e-3)
+    count = write_cloud(tmp_path / "new" / "cloud.ply", wall, CAMERA, poses(0.0), config)
+    points = read_ply(tmp_path / "new" / "cloud.ply")
+    assert count == len(points) == 26 * 49
+    assert points["z"] == pytest.approx(WALL_M)
+    assert points["x"][:49] == pytest.approx((np.arange(49) - 24) / 40 * WALL_M, abs=1e-5)
+    assert points["y"][::49] == pytest.approx((np.arange(5, 31) - 15) / 40 * WALL_M, abs=1e-5)
+    assert points["red"][:49].tolist() == np.rint(np.arange(49) / 49 * 255).tolist()
+    assert not points["blue"].any()
+
+
+def test_a_cloud_has_one_point_a_voxel_over_all_views(tmp_path):
+    config = CloudConfig(voxel_m=1.0)
+    seen = []
+    write_cloud(tmp_path / "a.ply", wall, CAMERA, poses(0.0, 1.0, 2.0), config, lambda: seen.append(1))
+    points = read_ply(tmp_path / "a.ply")
+    cells = cells_of(points, 1.0)
+    assert len(set(cells.tolist())) == len(cells) < 26 * 49 / 4
+    assert len(seen) == 3
+    once = tmp_path / "b.ply"
+    write_cloud(once, wall, CAMERA, poses(0.0), config)
+    assert np.array_equal(points[: len(read_ply(once))], read_ply(once))  # nearer views see less: they add nothing
+    assert len(points) == len(read_ply(once))
+
+
+def test_a_cloud_follows_the_camera_s_pose(tmp_path):
+    pose = poses(0.0)
+    pose[0, :3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # looks along the world's x
+    pose[0, :3, 3] = [1, 2, 3]
+    pose[0, 2, 3] = 0  # what `wall` takes for the camera's place
+    write_cloud(tmp_path / "a.ply", wall, CAMERA, pose, CloudConfig(voxel_m=1e-3))
+    assert read_ply(tmp_path / "a.ply")["x"] == pytest.approx(11.0)
+
+
+def test_far_and_thin_pixels_are_left_out(tmp_path):
+    assert write_cloud(tmp_path / "a.ply", wall, CAMERA, poses(0.0), CloudConfig(farthest_m=9.9)) == 0
+    assert len(read_ply(tmp_path / "a.ply")) == 0
+    config = CloudConfig(opacity=0.05, voxel_m=1e-3)
+    assert write_cloud(tmp_path / "b.ply", wall, CAMERA, poses(0.0), config) == 31 * 49
+    with pytest.raises(DataError, match="above 0 m"):
+        CloudConfig(voxel_m=0)
+
+
+def test_a_cloud_that_fails_leaves_the_old_file(tmp_path):
+    write_cloud(tmp_path / "a.ply", wall, CAMERA, poses(0.0), CloudConfig())
+    old = (tmp_path / "a.ply").read_bytes()
+
+    def fails(pose, camera):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_cloud(tmp_path / "a.ply", fails, CAMERA, poses(0.0), CloudConfig())
+    assert (tmp_path / "a.ply").read_bytes() == old
+    assert [path.name for path in tmp_path.iterdir()] == ["a.ply"]
+
+
+def test_a_mesh_without_open3d_says_what_is_missing(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(DataError, match=r"needs open3d.*roadprior\[mesh\].*libusb-1.0-0 libgl1"):
+        write_mesh(tmp_path / "mesh.ply", wall, CAMERA, poses(0.0), CloudConfig())
+
+    def broken(name):
+        raise OSError("libGL.so.1: cannot open shared object file")
+
+    monkeypatch.setattr("nerf.export.import_module", broken)
+    with pytest.raises(DataError, match=r"libGL.so.1: cannot open shared object file.*libusb-1.0-0 libgl1"):
+        write_mesh(tmp_path / "mesh.ply", wall, CAMERA, poses(0.0), CloudConfig())
+
+
+def test_a_mesh_by_open3d_lies_on_the_wall(tmp_path):
+    try:
+        import open3d
+    except (ImportError, OSError) as error:
+        pytest.skip(f"open3d cannot be imported: {error}")
+    triangles = write_mesh(tmp_path / "mesh.ply", wall, CAMERA, poses(0.0, 1.0), CloudConfig(voxel_m=0.2))
+    mesh = open3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
+    assert triangles == len(mesh.triangles) > 1000
+    assert np.asarray(mesh.vertices)[:, 2] == pytest.approx(WALL_M, abs=0.02)
+    with pytest.raises(DataError, match="cannot write this kind"):
+        write_mesh(tmp_path / "mesh.abc", wall, CAMERA, poses(0.0), CloudConfig(voxel_m=0.2))
+
+
+def test_a_video_has_every_picture_in_order(tmp_path):
+    steps = []
+    path = tmp_path / "new" / "path.mp4"
+    count = write_video(path, wall, CAMERA, poses(0.0, 4.0, 8.0), VideoConfig(steps=3, fps=10), lambda: steps.append(1))
+    film = cv2.VideoCapture(str(path))
+    pictures = []
+    while (read := film.read())[0]:
+        pictures.append(read[1])
+    assert count == len(pictures) == len(steps) == 7
+    assert pictures[0].shape == (62, 50, 3)  # colour over depth, odd width made even
+    assert film.get(cv2.CAP_PROP_FPS) == pytest.approx(10)
+    red = [picture[10:25, 40:, 2].mean() for picture in pictures]
+    assert min(red) > 150  # colour is above; read as BGR
+    green = [picture[40:60, :, 1].mean() for picture in pictures]
+    assert green[0] > green[-1] + 100  # depth is below: green in the middle, red near
+    assert [p.name for p in path.parent.iterdir()] == ["path.mp4"]
+
+
+def test_poses_are_interpolated_on_the_shortest_turn():
+    pair = poses(0.0, 2.0)
+    pair[1, :3, :3] = cv2.Rodrigues(np.array([0, np.pi / 2, 0]))[0]
+    found = interpolate(pair, 2)
+    assert len(found) == 3
+    assert np.allclose(found[[0, 2]], pair)
+    assert np.allclose(found[1, :3, :3], cv2.Rodrigues(np.array([0, np.pi / 4, 0]))[0])
+    assert found[1, :3, 3] == pytest.approx([0, 0, 1])
+    assert len(interpolate(poses(0.0), 4)) == 1
+
+
+def test_videos_that_cannot_be_written(tmp_path, monkeypatch):
+    with pytest.raises(DataError, match=r"ends in .mp4"):
+        write_video(tmp_path / "a.avi", wall, CAMERA, poses(0.0))
+    with pytest.raises(DataError, match="no pictures"):
+        write_video(tmp_path / "a.mp4", wall, CAMERA, poses())
+    with pytest.raises(DataError, match="expected 1 or more and above 0"):
+        VideoConfig(steps=0)
+    closed = types.SimpleNamespace(isOpened=lambda: False, release=lambda: None)
+
+    class Writer:
+        fourcc = staticmethod(cv2.VideoWriter.fourcc)
+
+        def __new__(cls, *args):
+            return closed
+
+    monkeypatch.setattr(cv2, "VideoWriter", Writer)
+    with pytest.raises(DataError, match="this OpenCV cannot write MP4"):
+        write_video(tmp_path / "a.mp4", wall, CAMERA, poses(0.0))
+    assert not list(tmp_path.iterdir())
