@@ -60,6 +60,8 @@ class Losses:
     """Reduced, unweighted: rgb, depth, distortion, opacity."""
     total: float
     gradients: Gradients
+    samples: int
+    """How many samples the batch had."""
 
 
 def losses(config: LossConfig, samples: Samples, rays: Rays, sigma: Tensor, rendered: Rendered) -> Losses:
@@ -80,7 +82,7 @@ def losses(config: LossConfig, samples: Samples, rays: Rays, sigma: Tensor, rend
     terms["opacity"] = _opacity(config, samples, rays, rendered, gradients)
     terms["distortion"] = _distortion(config, samples, rendered, gradients)
     scales = {"rgb": 1.0, "depth": config.depth_weight, "opacity": config.opacity, "distortion": config.distortion}
-    return Losses(terms, sum(scales[name] * value for name, value in terms.items()), gradients)
+    return Losses(terms, sum(scales[name] * value for name, value in terms.items()), gradients, samples.used)
 
 
 def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:

@@ -21,6 +21,9 @@ class Rays:
     weight: Tensor | None = None
     """(r,) how much the prior's value counts, [0, 1]; None: 1 where there is a value."""
 
+    pixel: float = 0.0
+    """Width of a pixel at a camera-z depth of 1: 1 / focal length in pixels; 0: rays are lines."""
+
     def __len__(self) -> int:
         return self.origins_m.shape[0]
 

@@ -70,7 +70,7 @@ class Scene:
         depth_m = None if self.depth_m is None else _tensor(self.depth_m[frame, row, column])
         weight = None if self.weight is None else _tensor(self.weight[frame, row, column] / np.float32(255))
         rgb = _tensor(self.images[frame, row, column] / np.float32(255))
-        return Rays(_tensor(pose[:, :3, 3]), _tensor(directions), rgb, depth_m, weight)
+        return Rays(_tensor(pose[:, :3, 3]), _tensor(directions), rgb, depth_m, weight, 1 / self.camera.fx)
 
     def points_m(self, most: int = 2_000_000) -> npt.NDArray[np.float32]:
         """Back-project the training frames' prior: up to about `most` world points (n, 3), evenly thinned."""
@@ -91,7 +91,7 @@ def view_rays(camera: Camera, T_world_cam: Matrix) -> Rays:
     """Return the rays of a whole view, row by row; no colour, no prior."""
     directions = pixel_rays(camera).reshape(-1, 3) @ T_world_cam[:3, :3].T
     origins = np.broadcast_to(T_world_cam[:3, 3], directions.shape)
-    return Rays(_tensor(origins), _tensor(directions))
+    return Rays(_tensor(origins), _tensor(directions), pixel=1 / camera.fx)
 
 
 def open_scene(

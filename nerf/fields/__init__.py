@@ -1,0 +1,32 @@
+"""The study's three families of fields, one file each: what differs is the space, the samplers and the extra losses."""
+
+import pkgutil
+from dataclasses import dataclass
+from importlib import import_module
+
+from nerf.space import Kind
+
+
+@dataclass(frozen=True)
+class Family:
+    """What makes a family; everything else is shared."""
+
+    space: Kind
+    """How the world is folded into the grid."""
+    proposals: tuple[int, ...] = ()
+    """Candidates per ray of each proposal round before the field's own samples; none: the occupancy grid alone."""
+    anti_aliased: bool = False
+    """Ask the grid for a sample's extent, not for a point: levels finer than a pixel's cone fade."""
+    distortion: float = 1e-3
+    """Weight of the distortion loss."""
+
+
+def names() -> list[str]:
+    """List the families."""
+    return sorted(module.name for module in pkgutil.iter_modules(__path__))
+
+
+def family(name: str) -> Family:
+    """Return a family by its file's name."""
+    found: Family = import_module(f"{__name__}.{name}").FAMILY
+    return found

@@ -1,0 +1,118 @@
+"""A run: a folder with what was asked for, and everything that came of it.
+
+runs/<name>/config.json              drive, prior, frames, views and every setting
+           /checkpoint.safetensors   nerf.checkpoint
+           /metrics.jsonl            a line every LOG_EVERY steps: step, seconds, losses, PSNR of the batch
+           /metrics.json, renders/   nerf.report
+"""
+
+import json
+from dataclasses import asdict, dataclass, fields, is_dataclass
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
+
+from nerf.fit import FitConfig
+from nerf.scene import Scene, open_scene
+from priors import cache, codecs
+from priors.build import select
+from priors.drives import reopen
+from priors.errors import DataError
+from priors.types import Drive
+
+FORMAT = 1
+SCENES = ".scenes"
+"""Folder beside the runs that holds their prepared arrays, shared by all of them."""
+Made = TypeVar("Made")
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """What a run was asked for."""
+
+    drive: dict[str, Any]
+    """What reopens the drive."""
+    prior: str | None
+    """The prior's folder; None: colours alone."""
+    frames: str | None
+    """Range of frames, a:b."""
+    views: str
+    """dense, sparse or a number."""
+    fit: FitConfig
+    """Everything else."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A run's folder and config."""
+
+    folder: Path
+    config: RunConfig
+
+    @property
+    def name(self) -> str:
+        """The folder's name."""
+        return self.folder.name
+
+    def drive(self) -> Drive:
+        """Open the run's drive."""
+        return reopen(self.config.drive)
+
+    def scene(self, drive: Drive) -> Scene:
+        """Open the run's scene; arrays that are there already are used again."""
+        prior = None
+        if self.config.prior is not None:
+            found = cache.find(Path(self.config.prior))
+            if len(found) > 1:
+                raise DataError(f"{self.config.prior}: holds {len(found)} priors: name one, such as {found[0].folder}")
+            prior = found[0]
+        positions = select(drive.ids, self.config.frames)
+        return open_scene(drive, prior, self.config.views, positions, self.folder.parent / SCENES)
+
+
+def claim(folder: Path, config: RunConfig) -> Run:
+    """Begin a run in a folder, or go on with the same one; DataError where another run is in it."""
+    path = folder / "config.json"
+    if path.exists() and _comparable(open_run(folder).config) != _comparable(config):
+        raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
+    text = json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n"
+    codecs.write_bytes(path, text.encode())
+    return Run(folder, config)
+
+
+def open_run(folder: Path) -> Run:
+    """Open a run's folder.
+
+    Raises:
+        DataError: there is no config.json in it, or it is damaged or of another format.
+    """
+    path = folder / "config.json"
+    try:
+        record = json.loads(path.read_text())
+        if record.pop("format") != FORMAT:
+            raise DataError(f"{path}: a run of another format: train again")
+        return Run(folder, rebuild(RunConfig, record))
+    except FileNotFoundError as error:
+        raise DataError(
+            f"{path}: no such file: not a run's folder (`nerf fit DATA --run {folder}` makes one)"
+        ) from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{path}: damaged ({error}): train again") from error
+
+
+def rebuild(kind: type[Made], record: dict[str, Any]) -> Made:
+    """Make a dataclass of what asdict made of it."""
+    hints = get_type_hints(kind)
+    values = {}
+    for each in fields(kind):  # type: ignore[arg-type]
+        value = record[each.name]
+        nested = hints[each.name]
+        values[each.name] = rebuild(nested, value) if is_dataclass(nested) else value
+    return kind(**values)
+
+
+def _comparable(config: RunConfig) -> dict[str, Any]:
+    """Return what must be equal to go on: a larger budget may be asked for later."""
+    record = json.loads(json.dumps(asdict(config)))
+    for budget in ("steps", "seconds"):
+        record["fit"].pop(budget)
+    return record  # type: ignore[no-any-return]
