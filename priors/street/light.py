@@ -61,7 +61,7 @@ class Light:
         self.to_sun = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(height)], np.float32)
         self._config = config
         self._sun = np.float32(2.7 * config.sun_strength) * SUN_COLOUR
-        self._ambient = np.float32(0.36 + 0.8 * (1 - min(config.sun_strength, 1.0)))
+        self._ambient = np.float32(0.30 + 0.85 * (1 - min(config.sun_strength, 1.0)))
 
     def sky(self, directions: Floats) -> Floats:
         """Return radiance (n, 3) of the sky in unit directions (n, 3): gradient, clouds, glow around the sun."""
@@ -119,9 +119,11 @@ class Light:
         return radiance * through + HORIZON_COLOUR * np.float32(0.8 * self._config.sky_strength) * (1 - through)
 
 
-def develop(radiance: Floats, exposure: float, warmth: float) -> Floats:
-    """Turn radiance (..., 3) into display values 0..255: exposure, balance, a curve with a little toe, clipping."""
+def develop(radiance: Floats, exposure: float, warmth: float, saturation: float) -> Floats:
+    """Turn radiance (..., 3) into display values 0..255: exposure, colour, a curve with a little toe, clipping."""
     balance = np.array([1 + warmth, 1.0, 1 - warmth], np.float32)
-    x = np.clip(radiance * balance * np.float32(exposure), 0, 1)
+    x = radiance * balance * np.float32(exposure)
+    grey = x.mean(axis=-1, keepdims=True)
+    x = np.clip(grey + np.float32(saturation) * (x - grey), 0, 1)
     curve = x ** np.float32(1 / 2.1)
     return np.asarray(255 * (0.01 + 0.99 * curve * (0.80 + 0.20 * curve)), np.float32)

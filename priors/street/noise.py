@@ -76,6 +76,7 @@ def hash_(*parts: Floats) -> Floats:
 
 def line(distance_m: Floats, half_width_m: float | Floats, footprint_m: Floats) -> Floats:
     """Return the share (0..1) of a pixel that a line covers, given the pixel's distance from the line's middle."""
-    soft = np.maximum(footprint_m, np.float32(0.004))
-    edge = np.clip((half_width_m - np.abs(distance_m)) / soft + 0.5, 0, 1)
-    return (edge * np.minimum(1, 2 * half_width_m / soft)).astype(np.float32)
+    pixel = np.maximum(footprint_m, np.float32(0.004))
+    first = np.maximum(distance_m - 0.5 * pixel, -half_width_m)
+    last = np.minimum(distance_m + 0.5 * pixel, half_width_m)
+    return np.maximum(last - first, 0) / pixel

@@ -40,8 +40,8 @@ def _mottled(patch: Patch, waves: tuple[float, ...], gains: tuple[float, ...], s
 def asphalt(patch: Patch) -> Floats:
     """Paint a worn carriageway with lane marks, tyre tracks, mended places, cracks and covers."""
     s, t = patch.uv[:, 0], patch.uv[:, 1]
-    field = octaves(patch.uv, patch.key, patch.footprint, (31.0, 8.1, 1.7, 0.47, 0.13), (0.08, 0.08, 0.05, 0.05, 0.07))
-    field += octaves(patch.uv, patch.key, patch.footprint, (0.045, 0.016), (0.17, 0.26))
+    field = octaves(patch.uv, patch.key, patch.footprint, (31.0, 8.1, 1.7, 0.47, 0.13), (0.08, 0.08, 0.06, 0.06, 0.10))
+    field += octaves(patch.uv, patch.key, patch.footprint, (0.045, 0.016), (0.24, 0.36))
     along = patch.uv * np.array([0.07, 1.0], np.float32)
     field += octaves(along, patch.key + 2, patch.footprint, (2.1, 0.7, 0.24), (0.05, 0.05, 0.04))
     field -= np.float32(0.05) * np.cos(np.float32(4 * np.pi / patch.config.lane_m) * t)
@@ -90,7 +90,7 @@ def pavement(patch: Patch) -> Floats:
         line(np.mod(along, size) - 0.5 * size, 0.006, patch.footprint),
         line(np.mod(patch.uv[:, 1], size) - 0.5 * size, 0.006, patch.footprint),
     )
-    albedo = _mottled(patch, (11.0, 2.7, 0.6, 0.14, 0.04, 0.014), (0.10, 0.10, 0.06, 0.07, 0.10, 0.13))
+    albedo = _mottled(patch, (11.0, 2.7, 0.6, 0.14, 0.04, 0.014), (0.10, 0.10, 0.07, 0.09, 0.13, 0.18))
     return albedo * (tone * (1 - 0.5 * joint))[:, None]
 
 
@@ -104,7 +104,7 @@ def kerb(patch: Patch) -> Floats:
 def grass(patch: Patch) -> Floats:
     """Paint lawn and soil."""
     albedo = _mottled(patch, (17.0, 4.0, 0.9, 0.22, 0.06, 0.02), (0.18, 0.2, 0.2, 0.25, 0.35, 0.35))
-    dry = np.clip(0.4 * band(patch.uv, 3.7, patch.key, 3) + 0.15, 0, 0.8)[:, None]
+    dry = np.clip(0.3 * band(patch.uv, 3.7, patch.key, 3) + 0.1, 0, 0.6)[:, None]
     return albedo * (1 + dry * np.array([0.9, 0.35, 0.3], np.float32))
 
 
