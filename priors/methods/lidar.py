@@ -87,7 +87,7 @@ def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
 
     depth_m = np.full(frame.camera.size, np.inf, dtype=np.float32)
     sources = np.full(frame.camera.size, NO_SOURCE)
-    free_m = np.zeros(frame.camera.size, dtype=np.float32)
+    free_m = np.zeros((0, 0), dtype=np.float32)  # not known
     found = False
     for offset in sorted(range(-(count // 2), (count + 1) // 2), key=abs):
         placed = _place(frame, offset)
@@ -131,7 +131,7 @@ def hidden(depth_m: FloatMap, fx_px: float) -> Mask:
     grazing: on one side of every line in the image its depth does not fall. The windows are larger than a scan line's
     gap because glass and glossy paint return nothing; the larger one asks for a surface that is clearly another.
     """
-    from priors.kernels.denial import hide
+    from priors.kernels.visibility import hide
 
     inside = np.zeros(depth_m.shape, dtype=bool)
     for rows_rad, columns_rad, share in HIDING:
@@ -146,13 +146,12 @@ def free_space(own_m: FloatMap, fx_px: float) -> FloatMap:
     It is where samples lie both above and below, within a scan line's gap: a little less far than the nearest of them.
     A point nearer than that was not there when this sweep, and the camera, looked.
     """
+    from priors.kernels.visibility import free_until
+
     height, width = own_m.shape
     rows, columns = window(fx_px)
-    nearest = _nearest(own_m, rows, 2 * columns)[:, columns : columns + width]
-    above, below = nearest[:height], nearest[rows:]
-    free_m = np.minimum(above, below) * np.float32(1 - FREE)
-    free_m[np.isinf(np.maximum(above, below))] = 0
-    return free_m
+    nearest_m = _nearest(own_m, rows, 2 * columns)[:, columns : columns + width]
+    return free_until(nearest_m, height, FREE)
 
 
 def window(fx_px: float) -> tuple[int, int]:
@@ -175,20 +174,24 @@ def stereo_denies(frame: Frame, depth_m: FloatMap) -> Mask:
 
     A value may agree with any of the 3x3 disparities around it: at an outline the match is not sharper than that.
     """
-    from priors.kernels.denial import deny
+    from priors.kernels.visibility import deny
     from priors.matching import quick_match
 
-    if frame.baseline_m is None or np.isinf(depth_m).all():
+    if frame.baseline_m is None:
         return np.zeros(depth_m.shape, dtype=bool)
-    nearest_m = np.quantile(depth_m[np.isfinite(depth_m)][::8], 0.001)
-    largest_px = int(np.ceil(frame.camera.fx * frame.baseline_m / nearest_m)) + SEARCH_MARGIN_PX
     image, other = frame.image(), frame.other()
+    focal_baseline = frame.camera.fx * frame.baseline_m
+    largest_px = None  # the match finds it
+    some_m = depth_m[::3, ::3]
+    some_m = some_m[some_m < np.inf]
+    if some_m.size > 0:
+        largest_px = int(min(focal_baseline / np.quantile(some_m, 0.001), image.shape[1] / 2)) + SEARCH_MARGIN_PX
     if frame.side == "left":
         matched_px = quick_match(image, other, largest_px)
     else:  # in the mirror, the right camera is the left one
         matched_px = quick_match(image[:, ::-1], other[:, ::-1], largest_px)[:, ::-1]
     slack_px = STEREO_SLACK_PX * frame.camera.fx / STEREO_FOCAL_PX
-    return deny(depth_m, matched_px, frame.camera.fx * frame.baseline_m, slack_px, STEREO_SLACK)
+    return deny(depth_m, matched_px, focal_baseline, slack_px, STEREO_SLACK)
 
 
 def confidence(depth_m: FloatMap, fx_px: float) -> FloatMap:

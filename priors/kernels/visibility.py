@@ -1,4 +1,7 @@
-"""Compare a depth map with a stereo match, and with what lies around."""
+"""What is seen: past free space, not behind a nearer surface, not where stereo sees another.
+
+Fused loops: over whole images, numpy's temporary arrays cost more than the arithmetic.
+"""
 
 import numpy as np
 import numpy.typing as npt
@@ -59,3 +62,22 @@ def hide(
             above = max(nearest_m[row, column], nearest_m[row, column + columns])
             below = max(nearest_m[row + rows, column], nearest_m[row + rows, column + columns])
             hidden[row, column] |= (max(above, below) < limit) & (limit < np.inf)  # no branch: it vectorises
+
+
+@njit(cache=True, nogil=True)
+def free_until(nearest_m: npt.NDArray[np.float32], height: int, share: float) -> npt.NDArray[np.float32]:
+    """Return the depth (height, width) up to which space is free, where there are samples both above and below; else 0.
+
+    nearest_m (height + rows, width) holds the nearest depth of every window that ends at a row and is centred on a
+    column, inf where it has none. Free space ends by the share before the nearest sample.
+    """
+    width = nearest_m.shape[1]
+    rows = nearest_m.shape[0] - height
+    kept = np.float32(1.0 - share)
+    free_m = np.zeros((height, width), dtype=np.float32)
+    for row in range(height):
+        for column in range(width):
+            above, below = nearest_m[row, column], nearest_m[row + rows, column]
+            if max(above, below) < np.inf:
+                free_m[row, column] = min(above, below) * kept
+    return free_m
