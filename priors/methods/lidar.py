@@ -9,11 +9,10 @@ The windows are angles: what separates a 64-line scanner's samples, turned into 
 """
 
 from dataclasses import dataclass, replace
-from typing import Self, TypeAlias
+from typing import Self
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.geometry import invert
@@ -30,7 +29,6 @@ STEREO_SLACK_PX, STEREO_SLACK = 1.0, 0.05  # px at full size plus a share of the
 STEREO_FOCAL_PX = 721.0  # the slack's pixels are those of KITTI's cameras
 SEARCH_MARGIN_PX = 4  # beyond the disparities that the LiDAR saw
 NO_SOURCE = np.int16(32767)
-Sources: TypeAlias = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True)
