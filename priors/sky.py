@@ -29,8 +29,8 @@ NOISE = np.float32(4e-3)
 """One grey level: texture below it is sensor noise."""
 FAR = np.float32(12)
 """Cost, and largest logit, beyond which more makes no difference."""
-SLOPE, STEP = 12.0, 0.01
-"""Cost of a path through the image: per unit of colour change, and per block."""
+SLOPE, SLACK = 12.0, 0.03
+"""Cost of a path through the image per unit of colour change, and the change from block to block that is free."""
 
 Floats = npt.NDArray[np.float32]
 Layers = tuple[tuple[Floats, Floats], ...]
@@ -154,8 +154,8 @@ def compare(first: Floats, colour: Floats, logit: FloatMap) -> Floats:
     likelier = log_ratio(first[..., 0], first[..., 4], *weights)
     # The surest sky of the image starts free of charge, even where nothing is quite sure (dusk, grey cameras).
     surest = min(max(float(np.quantile(logit, 0.995)), 0.0), 4.0)
-    from_sky = grow(np.clip(surest - logit, 0, FAR), colour, SLOPE, STEP)
-    from_rest = grow(np.clip(logit + 4, 0, FAR), colour, SLOPE, STEP)
+    from_sky = grow(np.clip(surest - logit, 0, FAR), colour, SLOPE, SLACK)
+    from_rest = grow(np.clip(logit + 4, 0, FAR), colour, SLOPE, SLACK)
     count = np.arange(1, sky.shape[0] + 1, dtype=np.float32)[:, None]
     evidence = [
         np.clip(logit, -FAR, FAR),

@@ -42,8 +42,8 @@ def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, step: float) -> FloatMap:
-    """Spread costs along the cheapest 8-connected paths: a step costs `step` + slope * |change of colour|.
+def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: float) -> FloatMap:
+    """Spread costs along the cheapest 8-connected paths: a step costs slope * max(0, |change of colour| - slack).
 
     Two forward and two backward raster sweeps: exact but for paths that wind more often than that.
 
@@ -51,7 +51,7 @@ def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, step: f
         start: (height, width) cost of starting at a pixel.
         colour: (height, width, 3).
         slope: cost of a unit of colour change, summed over the channels.
-        step: cost of a step on even ground.
+        slack: change that costs nothing, so that a sky that darkens upwards stays one piece.
     """
     height, width = start.shape
     cost = start.copy()
@@ -72,7 +72,7 @@ def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, step: f
                         + abs(colour[y, x, 1] - colour[yy, xx, 1])
                         + abs(colour[y, x, 2] - colour[yy, xx, 2])
                     )
-                    best = min(best, cost[yy, xx] + np.float32(step) + np.float32(slope) * change)
+                    best = min(best, cost[yy, xx] + np.float32(slope) * max(change - np.float32(slack), np.float32(0)))
                 cost[y, x] = best
     return cost
 
