@@ -60,8 +60,8 @@ class StreetConfig:
     """Height of the cameras above the road."""
     speed_mps: float = 10.0
     """Mean speed of the rig."""
-    traffic: int = 3
-    """Moving cars."""
+    traffic_gap_m: float = 70.0
+    """Mean distance between oncoming cars."""
     walkers: int = 2
     """Moving people; others stand still."""
 
@@ -97,7 +97,7 @@ class StreetConfig:
             blur_px=rng.uniform(0.4, 0.65),
             camera_height_m=rng.uniform(1.6, 1.7),
             speed_mps=rng.uniform(8.0, 13.0),
-            traffic=int(rng.integers(2, 5)),
+            traffic_gap_m=rng.uniform(30.0, 120.0),
             walkers=int(rng.integers(0, 4)),
         )
 

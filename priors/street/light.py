@@ -27,6 +27,8 @@ SHINE[Material.LAMP] = 0.10, 0.6
 SHINE[Material.PLATE] = 0.02, 0.3
 SHINE[Material.RUBBER] = 0.01, 0.15
 SHINE[Material.ASPHALT] = 0.0, 0.12
+LEAST_SHINE = 0.004
+"""Reflections weaker than this are left out."""
 MIRRORS = (Material.PAINT, Material.CAR_GLASS, Material.GLASS, Material.METAL, Material.RIM, Material.LAMP)
 
 
@@ -90,16 +92,17 @@ class Light:
         ambient = self._ambient * (SKY_COLOUR * above + bounce * (1 - above)) * (0.06 + 1.1 * surface.open)[:, None]
         ambient[leafy] *= 1.5
         out = surface.albedo * (self._sun * (diffuse * surface.lit)[:, None] + ambient)
-        shiny = np.flatnonzero(SHINE[surface.material, 1] > 0)
+        along = np.abs(np.einsum("ni,ni->n", surface.normal, surface.view))
+        low, high = SHINE[surface.material].T
+        strength = low + (high - low) * (1 - along) ** 5
+        shiny = np.flatnonzero(strength > LEAST_SHINE)
         if shiny.size:
-            out[shiny] += self._reflection(surface.pick(shiny))
+            out[shiny] += self._reflection(surface.pick(shiny), strength[shiny])
         return out
 
-    def _reflection(self, surface: Surface) -> Floats:
+    def _reflection(self, surface: Surface, strength: Floats) -> Floats:
         along = np.einsum("ni,ni->n", surface.normal, surface.view)
         mirrored = surface.view - 2 * along[:, None] * surface.normal
-        low, high = SHINE[surface.material].T
-        strength = low + (high - low) * (1 - np.abs(along)) ** 5
         # What is mirrored near the horizon is the other side of the street, not the sky.
         azimuth = np.arctan2(mirrored[:, 1], mirrored[:, 0]).astype(np.float32)
         ring = np.stack([azimuth, mirrored[:, 2]], axis=1)

@@ -39,7 +39,9 @@ def sample(u: Floats, v: Floats) -> Floats:
     n, width = len(u), 1024
     rows = -(-n // width)
     maps = np.zeros((2, rows * width), np.float32)
-    maps[0, :n], maps[1, :n] = np.mod(u, np.float32(SIDE)), np.mod(v, np.float32(SIDE))
+    for row, place in zip(maps, (u, v), strict=True):
+        turns = place * np.float32(1 / SIDE)
+        np.multiply(turns - np.floor(turns), np.float32(SIDE), out=row[:n])  # np.mod takes four times as long
     grid = maps.reshape(2, rows, width)
     read = cv2.remap(tile(), grid[0], grid[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     return np.asarray(read.reshape(-1)[:n], np.float32)
