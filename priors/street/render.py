@@ -11,8 +11,9 @@ from priors import geometry
 from priors.street.light import Light, Surface, develop
 from priors.street.materials import CURVED, LAST_GROUND
 from priors.street.openness import Openness
+from priors.street.patch import Patch
 from priors.street.scene import Hits, Scene
-from priors.street.textures import Patch, albedo
+from priors.street.textures import albedo
 from priors.street.world import World
 from priors.types import Camera, FloatMap, Image, Mask, Matrix
 
