@@ -120,6 +120,12 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
     rows, columns, _ = model.shape
     mask = np.empty((height, width), np.bool_)
     line = np.empty((columns, 4), np.float32)
+    block = np.empty(width, np.int64)
+    part = np.empty(width, np.float32)
+    for x in range(width):
+        u = min(max((x + 0.5) / factor - 0.5, 0.0), columns - 1.0)
+        block[x] = min(int(u), max(columns - 2, 0))
+        part[x] = u - block[x]
     scale = np.float32(1 / 255)
     for y in range(height):
         v = min(max((y + 0.5) / factor - 0.5, 0.0), rows - 1.0)
@@ -129,9 +135,8 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
             for c in range(4):
                 line[j, c] = model[i, j, c] + f * (model[below, j, c] - model[i, j, c])
         for x in range(width):
-            u = min(max((x + 0.5) / factor - 0.5, 0.0), columns - 1.0)
-            j = min(int(u), max(columns - 2, 0))
-            right, f = min(j + 1, columns - 1), np.float32(u - j)
+            j, f = block[x], part[x]
+            right = min(j + 1, columns - 1)
             value = line[j, 3] + f * (line[right, 3] - line[j, 3])
             for c in range(3):
                 value += (line[j, c] + f * (line[right, c] - line[j, c])) * (np.float32(image[y, x, c]) * scale)
