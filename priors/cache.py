@@ -144,7 +144,7 @@ def load(folder: Path) -> Prior:
     except (ValueError, KeyError, TypeError, OSError) as error:
         raise DataError(f"{path}: damaged manifest: delete {folder} and build it again") from error
     if found != FORMAT:
-        raise DataError(f"{path}: cache format {found}, this version reads {FORMAT}: delete {folder} and build it again")
+        raise DataError(f"{path}: cache format {found}, this version reads {FORMAT}: delete {folder}, build it again")
     return Prior(folder, manifest)
 
 

@@ -23,15 +23,14 @@ def labels(priors: Sequence[Prior]) -> list[str]:
 def label(prior: Prior, decided: bool = False) -> str:
     """Name one prior: 'stereo', 'lidar sweeps=1', 'stereo + Clip 80'.
 
-    Settings that are unset by default and were decided for the drive are named where `decided` is True.
+    Settings that are 'auto' by default and were decided for the drive are named where `decided` is True.
     """
     usual = _defaults(prior.method)
     config: dict[str, Any] = prior.manifest.get("config", {})
-    plain = (None, "auto")
     settings = [
         f"{name}={_short(value)}"
         for name, value in config.items()
-        if usual.get(name, value) != value and (decided or usual[name] not in plain)
+        if usual.get(name, value) != value and (decided or usual[name] != "auto")
     ]
     filters = [_words(name, values) for name, values in prior.manifest.get("filters", {}).items()]
     return " + ".join([" ".join([prior.method, *settings]), *filters])

@@ -29,8 +29,8 @@ NOISE = np.float32(4e-3)
 """One grey level: texture below it is sensor noise."""
 FAR = np.float32(12)
 """Cost, and largest logit, beyond which more makes no difference."""
-SLOPE, STEP = 12.0, 0.01
-"""Cost of a path through the image: per unit of colour change, and per block."""
+SLOPE, SLACK = 12.0, 0.03
+"""Cost of a path through the image per unit of colour change, and the change from block to block that is free."""
 
 Floats = npt.NDArray[np.float32]
 Layers = tuple[tuple[Floats, Floats], ...]
@@ -75,11 +75,15 @@ def load_weights() -> tuple[Layers, Layers]:
 
 
 def apply_layers(layers: Layers, values: Floats) -> FloatMap:
-    """Run dense layers (ReLU between them) on (height, width, n): logits (height, width)."""
+    """Run dense layers (ReLU between them) on n values per block, (n, ...): logits (...)."""
+    shape = values.shape[1:]
+    values = values.reshape(len(values), -1)
     for weights, bias in layers[:-1]:
-        values = np.maximum(values @ weights + bias, 0)
+        values = weights.T @ values
+        values += bias[:, None]
+        np.maximum(values, 0, out=values)
     weights, bias = layers[-1]
-    return (values @ weights + bias)[..., 0]
+    return (weights.T @ values + bias[:, None]).reshape(shape)
 
 
 def sigmoid(logit: FloatMap) -> FloatMap:
@@ -95,7 +99,8 @@ def describe(colour: Floats, texture: FloatMap) -> tuple[Floats, Floats]:
         texture: (height, width) standard deviation of grey inside the block.
 
     Returns:
-        (height, width, 19) values and the colours scaled so that the image's bright end is 1: exposure drops out.
+        (19, height, width) values, and the colours (height, width, 3) scaled so that the image's bright end is 1:
+        exposure drops out.
     """
     grey = colour @ np.array([0.299, 0.587, 0.114], np.float32)
     gain = 1 / max(float(np.quantile(grey[::2, ::2], 0.98)), 0.05)
@@ -131,31 +136,30 @@ def describe(colour: Floats, texture: FloatMap) -> tuple[Floats, Floats]:
             log(np.maximum.accumulate(blur(edge, 3), axis=0)),
             grey - mean_below(grey),
             grey - top,
-        ],
-        axis=-1,
-    ).astype(np.float32), colour
+        ]
+    ).astype(np.float32, copy=False), colour
 
 
 def compare(first: Floats, colour: Floats, logit: FloatMap) -> Floats:
     """Compare each block with what looks like sky, and like no sky, in this image.
 
     Args:
-        first: (height, width, 19) what `describe` gave.
+        first: (19, height, width) what `describe` gave.
         colour: (height, width, 3) its normalised colours.
         logit: (height, width) how sure the first rule is of sky.
 
     Returns:
-        (height, width, 33): 14 comparisons, then `first`.
+        (33, height, width): 14 comparisons, then `first`.
     """
     from priors.kernels.sky import grow
 
     sky = sigmoid(logit)
     weights = sky * sky, (1 - sky) ** 2
-    likelier = log_ratio(first[..., 0], first[..., 4], *weights)
+    likelier = log_ratio(first[0], first[4], *weights)
     # The surest sky of the image starts free of charge, even where nothing is quite sure (dusk, grey cameras).
     surest = min(max(float(np.quantile(logit, 0.995)), 0.0), 4.0)
-    from_sky = grow(np.clip(surest - logit, 0, FAR), colour, SLOPE, STEP)
-    from_rest = grow(np.clip(logit + 4, 0, FAR), colour, SLOPE, STEP)
+    from_sky = grow(np.clip(surest - logit, 0, FAR), colour, SLOPE, SLACK)
+    from_rest = grow(np.clip(logit + 4, 0, FAR), colour, SLOPE, SLACK)
     count = np.arange(1, sky.shape[0] + 1, dtype=np.float32)[:, None]
     evidence = [
         np.clip(logit, -FAR, FAR),
@@ -173,7 +177,7 @@ def compare(first: Floats, colour: Floats, logit: FloatMap) -> Floats:
         from_rest,
         np.log(from_sky + 0.1),
     ]
-    return np.concatenate([np.stack(evidence, axis=-1), first], axis=-1).astype(np.float32)
+    return np.stack([*evidence, *first]).astype(np.float32, copy=False)
 
 
 def path_from_top(colour: Floats) -> FloatMap:

@@ -12,6 +12,7 @@ from reference import lidar as reference
 from priors.drives import open_drive
 from priors.errors import DataError
 from priors.geometry import rays
+from priors.kernels.visibility import deny
 from priors.kernels.zbuffer import splat
 from priors.methods import lidar
 from priors.methods.lidar import Lidar
@@ -58,10 +59,10 @@ def test_splat_untwists_before_it_leaves_points_out(seed):
     velocity = rng.normal(0, [40, 40, 40, 10, 10, 10])
     camera = np.array([[10.0, 0, 8.3], [0, 11.0, 5.6], [0, 0, 1]])
     depth_m, sources = np.full((12, 17), INF), np.full((12, 17), 32767, dtype=np.int16)
-    free_m = np.zeros_like(depth_m)
+    free_m = np.zeros((0, 0), dtype=np.float32)
     splat(xyz, time_s, velocity, camera @ np.eye(3, 4), 0, 0.02, free_m, depth_m, sources)
     moved = reference.untwist(xyz, time_s, velocity)
-    expected_m, _ = reference.splat([(0, moved, camera)], depth_m.shape, 0.02, free_m)
+    expected_m, _ = reference.splat([(0, moved, camera)], depth_m.shape, 0.02, np.zeros_like(depth_m))
     np.testing.assert_allclose(depth_m, expected_m, rtol=1e-4)
 
 
@@ -69,12 +70,39 @@ def test_splat_untwists_before_it_leaves_points_out(seed):
 @given(seed=st.integers(0, 2**32 - 1), fx_px=st.sampled_from([100.0, 230.0, 721.5]), density=st.floats(0, 1))
 def test_hidden_and_free_space_equal_the_loops(seed, fx_px, density):
     rng = np.random.default_rng(seed)
-    depth_m = np.where(rng.random((23, 31)) < density, rng.uniform(5, 6, (23, 31)), np.inf).astype(np.float32)
+    depth_m = np.where(rng.random((23, 31)) < density, rng.uniform(5, 8, (23, 31)), np.inf).astype(np.float32)
+    expected = np.zeros(depth_m.shape, dtype=bool)
+    for rows_rad, columns_rad, share in lidar.HIDING:
+        expected |= reference.hidden(depth_m, round(rows_rad * fx_px), round(columns_rad * fx_px), share)
+    np.testing.assert_array_equal(lidar.hidden(depth_m, fx_px), expected)
     rows, columns = lidar.window(fx_px)
-    hidden = lidar.hidden(depth_m, fx_px) & np.isfinite(depth_m)
-    np.testing.assert_array_equal(hidden, reference.hidden(depth_m, rows, columns, lidar.NEARER))
     free_m = lidar.free_space(depth_m, fx_px)
-    np.testing.assert_array_equal(free_m, reference.free_space(depth_m, rows, columns, lidar.NEARER))
+    np.testing.assert_array_equal(free_m, reference.free_space(depth_m, rows, columns, lidar.FREE))
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), density=st.floats(0, 1), fx_px=st.sampled_from([80.0, 230.0, 721.5]))
+def test_confidence_equals_the_loop(seed, density, fx_px):
+    rng = np.random.default_rng(seed)
+    depth_m = np.where(rng.random((23, 31)) < density, rng.uniform(2, 90, (23, 31)), np.inf).astype(np.float32)
+    depth_m[:12] = np.where(depth_m[:12] < np.inf, 5, np.inf)
+    fast = lidar.confidence(depth_m, fx_px)
+    expected = reference.confidence(depth_m, round(lidar.SUPPORT_RAD * fx_px), lidar.STEADY)
+    np.testing.assert_allclose(fast, expected, atol=1e-5)
+    assert fast.dtype == np.float32 and fast.min() >= 0 and fast.max() <= 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), density=st.floats(0, 1))
+def test_deny_equals_the_loop(seed, density):
+    rng = np.random.default_rng(seed)
+    depth_m = np.where(rng.random((23, 31)) < density, rng.uniform(2, 90, (23, 31)), np.inf).astype(np.float32)
+    matched_px = rng.uniform(1, 50, (23, 31)).astype(np.float32)
+    matched_px[rng.random((23, 31)) < 0.3] = 0
+    matched_px[:12] *= 0.2
+    np.testing.assert_array_equal(
+        deny(depth_m, matched_px, 100.0, 1.0, 0.05), reference.deny(depth_m, matched_px, 100.0, 1.0, 0.05)
+    )
 
 
 @settings(max_examples=60, deadline=None)
@@ -88,7 +116,7 @@ def test_no_plane_hides_itself(seed, density):
     inverse[rng.random(inverse.shape) > density] = 0
     with np.errstate(divide="ignore"):
         depth_m = np.where(inverse > 0.002, 1 / inverse, np.inf).astype(np.float32)
-    assert not (lidar.hidden(depth_m, 721.5) & np.isfinite(depth_m)).any()
+    assert not lidar.hidden(depth_m, 721.5).any()
 
 
 # --- small scenes --------------------------------------------------------------------------------------------------
@@ -282,8 +310,11 @@ def test_figures_on_drive_0001():
         both = depth.valid & truth.valid
         error_m = np.abs(depth.depth_m - truth.depth_m)[both]
         relative = error_m / truth.depth_m[both]
-        rows.append((relative.mean(), np.mean((error_m > 1) & (relative > 0.05)), depth.density))
-    abs_rel, outliers, density = np.mean(rows, axis=0)
+        far_off = (error_m > 1) & (relative > 0.05)
+        sure = depth.confidence[both] > np.quantile(depth.confidence[both], 0.25)
+        rows.append((relative.mean(), far_off.mean(), far_off[sure].mean(), depth.density))
+    abs_rel, outliers, sure_outliers, density = np.mean(rows, axis=0)
     assert abs_rel <= 0.006
     assert outliers < 0.004
+    assert sure_outliers < 0.5 * outliers  # the least sure quarter holds most of them
     assert density >= 0.25

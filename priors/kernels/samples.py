@@ -1,50 +1,63 @@
-"""Kernels on the samples of a sparse depth map: list, spacing, what is seen through, local slopes.
+"""Kernels on the samples of a sparse depth map: list, spacing, what the camera cannot see, local slopes.
 
 Samples are kept in image order (row by row, left to right); `row_start` (height + 1,) names each row's first.
 A window around a sample is then a few short runs, found by pointers that only move forward.
 """
 
+from typing import TypeAlias
+
 import numpy as np
+import numpy.typing as npt
 from numba import njit
 
+Ints: TypeAlias = npt.NDArray[np.int32]
+Floats: TypeAlias = npt.NDArray[np.float32]
+Samples: TypeAlias = tuple[Ints, Ints, Ints, Floats]
+"""row_start (height + 1,), then row, column and inverse depth (1/m), each (n,)."""
+
+BESIDE = np.float32(1 / 3)  # how likely a sample with a nearer surface on one side is covered, at least
+BESIDE_PX, BETWEEN_PX = np.float32(1), np.float32(2)  # least parallax that can cover a sample
+ONE = np.float32(1)
+NEAREST_M, FARTHEST_M = np.float32(1e-3), np.float32(1e4)  # their squares and inverses are far from float32's limits
 MOST_NEIGHBOURS = 256
 
 
-@njit(cache=True, nogil=True)
-def gather(sparse_m):
-    """List the samples of a map (height, width): row_start (height + 1,), row, column, inverse depth (n,)."""
+def gather(sparse_m: Floats) -> Samples:
+    """List the samples of a map (height, width), metres; what is not between NEAREST_M and FARTHEST_M is none."""
     height, width = sparse_m.shape
-    row_start = np.zeros(height + 1, np.int32)
-    count = 0
-    for y in range(height):
-        for x in range(width):
-            if sparse_m[y, x] > 0:
-                count += 1
-        row_start[y + 1] = count
-    row, column, inverse = np.empty(count, np.int32), np.empty(count, np.int32), np.empty(count, np.float32)
-    i = 0
-    for y in range(height):
-        for x in range(width):
-            if sparse_m[y, x] > 0:
-                row[i], column[i], inverse[i] = y, x, np.float32(1) / sparse_m[y, x]
-                i += 1
-    return row_start, row, column, inverse
+    index = np.flatnonzero(sparse_m > NEAREST_M)
+    depth_m = sparse_m.ravel()[index]
+    if not (depth_m < FARTHEST_M).all():
+        index, depth_m = index[depth_m < FARTHEST_M], depth_m[depth_m < FARTHEST_M]
+    row, column = np.divmod(index.astype(np.int32), np.int32(width))
+    return np.searchsorted(row, np.arange(height + 1)).astype(np.int32), row, column, ONE / depth_m
 
 
 @njit(cache=True, nogil=True)
-def keep(row_start, row, column, inverse, kept):
-    """List the samples where kept (n,) is true, as gather does."""
-    starts = np.zeros_like(row_start)
+def thin(row: Ints, column: Ints, inverse: Floats, step: int, height: int, width: int) -> Floats:
+    """Return the sparse map (height, width), metres, that is step times smaller: the nearest sample of every cell."""
+    sparse_m = np.zeros((height, width), np.float32)
     for i in range(len(row)):
-        starts[row[i] + 1] += kept[i]
-    return np.cumsum(starts).astype(np.int32), row[kept], column[kept], inverse[kept]
+        y, x, depth_m = row[i] // step, column[i] // step, ONE / inverse[i]
+        if sparse_m[y, x] == 0 or depth_m < sparse_m[y, x]:
+            sparse_m[y, x] = depth_m
+    return sparse_m
 
 
 @njit(cache=True, nogil=True)
-def gaps(row_start, row, column, reach, step):
+def keep(row_start: Ints, row: Ints, column: Ints, inverse: Floats, kept: npt.NDArray[np.bool_]) -> Samples:
+    """List the samples where kept (n,) is true."""
+    count = np.zeros_like(row_start)
+    for i in range(len(row)):
+        count[row[i] + 1] += kept[i]
+    return np.cumsum(count).astype(np.int32), row[kept], column[kept], inverse[kept]
+
+
+@njit(cache=True, nogil=True)
+def gaps(row_start: Ints, row: Ints, column: Ints, reach: int, step: int) -> tuple[float, float]:
     """Measure the spacing (down, across), pixels: median distance to the nearest sample in a 90 degree cone.
 
-    Every step-th sample is asked; `reach` stands for the distance where there is none within reach.
+    Every step-th sample is asked; one that has none within reach counts as reach.
     """
     height = len(row_start) - 1
     asked = (len(row) + step - 1) // step
@@ -66,48 +79,91 @@ def gaps(row_start, row, column, reach, step):
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def seen_through(row_start, row, column, inverse, pull, reach_y, reach_x, behind, least_px):
-    """Mark the samples (n,) that the camera cannot see: a nearer surface lies on opposite sides of them.
+def covered(
+    row_start: Ints,
+    row: Ints,
+    column: Ints,
+    inverse: Floats,
+    pull_y: Floats,
+    pull_x: Floats,
+    gap_y: float,
+    gap_x: float,
+    reach_y: int,
+    reach_x: int,
+    behind: float,
+    nearest: Floats,
+    step: int,
+) -> Floats:
+    """Tell how likely (n,) it is that the camera does not see a sample, because a nearer surface covers it.
 
-    A scanner beside the camera looks past a near edge at what the camera sees covered. In the image such a sample lies
-    among those of the near surface. It can be there only if scanner and camera see the two depths far enough apart:
-    `pull` (n,) is that parallax in pixels per unit of inverse depth, and it must reach `least_px`.
+    Against the far sample i, a near one k is shifted by s = (inverse[k] - inverse[i]) * pull from the scanner's view to
+    the camera's. In the scanner's view the near surface's edge lies somewhere within one gap of k, and before i; sample
+    i at distance d from k (in gaps) is covered where the shifted edge passes it: 1 - d / min(1, d + s).
+    A sample with near ones on opposite sides is covered for certain.
+
+    Args:
+        row_start, row, column, inverse: the samples.
+        pull_y, pull_x: (n,) parallax between scanner and camera, pixels per unit of inverse depth (px m).
+        gap_y, gap_x: the samples' spacing, pixels.
+        reach_y, reach_x: half the window to look for nearer samples in, pixels.
+        behind: ratio of inverse depths from which on a sample is nearer.
+        nearest, step: largest inverse depth in the window of every cell of step pixels; most samples need no more.
     """
-    hidden = np.zeros(len(row), np.bool_)
-    height = len(row_start) - 1
-    pointer = np.zeros(height, np.int32)
+    likely = np.zeros(len(row), np.float32)
+    pointer = np.zeros(len(row_start), np.int32)
+    per_y, per_x = np.float32(1 / gap_y**2), np.float32(1 / gap_x**2)
     for i in range(len(row)):
         y, x = row[i], column[i]
-        top, bottom = max(0, y - reach_y), min(height, y + reach_y + 1)
+        top, bottom = max(0, y - reach_y), min(len(row_start) - 1, y + reach_y + 1)
         if i == row_start[y]:
             pointer[top:bottom] = row_start[top:bottom]
-        nearer = max(inverse[i] * (1 + behind), inverse[i] + least_px / pull[i])
+        pull = abs(pull_y[i]) + abs(pull_x[i])
+        nearer = max(inverse[i] * np.float32(behind), inverse[i] + BESIDE_PX / pull)
+        if nearest[y // step, x // step] <= nearer:
+            continue
+        free, floor = ONE, np.float32(0)
         upper_left, upper_right, lower_left, lower_right = False, False, False, False
         for r in range(top, bottom):
-            last = row_start[r + 1]
-            k = pointer[r]
+            k, last = pointer[r], row_start[r + 1]
             while k < last and column[k] < x - reach_x:
                 k += 1
             pointer[r] = k
             while k < last and column[k] <= x + reach_x:
                 if inverse[k] > nearer:
-                    upper_left |= r <= y and column[k] <= x
-                    upper_right |= r <= y and column[k] >= x
-                    lower_left |= r >= y and column[k] <= x
-                    lower_right |= r >= y and column[k] >= x
+                    dy, dx = np.float32(y - r), np.float32(x - column[k])
+                    away = np.sqrt(dy * dy * per_y + dx * dx * per_x)
+                    along = (inverse[k] - inverse[i]) * (pull_y[i] * dy + pull_x[i] * dx) / (dy * dy + dx * dx)
+                    if away < ONE:
+                        floor = BESIDE
+                        free *= min(ONE, away / min(ONE, away * (ONE + max(along, np.float32(0)))))
+                    if (inverse[k] - inverse[i]) * pull > BETWEEN_PX:
+                        upper_left |= r <= y and column[k] <= x
+                        upper_right |= r <= y and column[k] >= x
+                        lower_left |= r >= y and column[k] <= x
+                        lower_right |= r >= y and column[k] >= x
                 k += 1
-        hidden[i] = (upper_left and lower_right) or (upper_right and lower_left)
-    return hidden
+        between = (upper_left and lower_right) or (upper_right and lower_left)
+        likely[i] = ONE if between else max(floor, ONE - free)
+    return likely
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def fit_plane(value, below, right, weight, slope_y, slope_x, tolerance, ridge):
-    """Fit value ~ constant + slope_y * below + slope_x * right once, weighing by the residuals to the slopes given."""
+def fit_plane(
+    value: Floats,
+    below: Floats,
+    right: Floats,
+    weight: Floats,
+    count: int,
+    tolerance: float,
+    ridge: float,
+) -> tuple[np.float32, np.float32]:
+    """Fit value ~ constant + slope_y * below + slope_x * right; values far from 0 weigh less (Geman-McClure)."""
     s = sy = sx = syy = sxy = sxx = sv = svy = svx = np.float32(0)
-    for j in range(len(value)):
+    per = ONE / (tolerance * tolerance)
+    for j in range(count):
         v, y, x = value[j], below[j], right[j]
-        off = (v - slope_y * y - slope_x * x) / tolerance
-        w = weight[j] / ((1 + off * off) * (1 + off * off))
+        w = ONE + v * v * per
+        w = weight[j] / (w * w)
         s += w
         sy += w * y
         sx += w * x
@@ -125,30 +181,37 @@ def fit_plane(value, below, right, weight, slope_y, slope_x, tolerance, ridge):
 
 
 @njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
-def slopes(row_start, row, column, inverse, reach_y, reach_x, tolerance, ridge):
+def slopes(
+    row_start: Ints,
+    row: Ints,
+    column: Ints,
+    inverse: Floats,
+    reach_y: int,
+    reach_x: int,
+    tolerance: Floats,
+    ridge: float,
+) -> tuple[Floats, Floats]:
     """Fit a plane in inverse depth around every sample: d/dy and d/dx (n,), 1/(m px).
 
-    Two rounds of weighted least squares; weights fall with distance and, in units of tolerance (n,), with the residual
-    (Geman-McClure). ridge (px^2) holds at 0 a slope that no sample tells.
+    Weighted least squares over the window; weights fall with distance and with the difference in inverse depth, in
+    units of tolerance (n,). ridge (px^2) holds at 0 a slope that no neighbour tells.
     """
-    height = len(row_start) - 1
     closeness = np.empty((2 * reach_y + 1, 2 * reach_x + 1), np.float32)
     for r in range(2 * reach_y + 1):
         for c in range(2 * reach_x + 1):
             closeness[r, c] = 1 / (1 + 4 * ((r - reach_y) / reach_y) ** 2 + 4 * ((c - reach_x) / reach_x) ** 2)
     slope_y, slope_x = np.zeros(len(row), np.float32), np.zeros(len(row), np.float32)
-    pointer = np.zeros(height, np.int32)
+    pointer = np.zeros(len(row_start), np.int32)
     value, below = np.empty(MOST_NEIGHBOURS, np.float32), np.empty(MOST_NEIGHBOURS, np.float32)
     right, weight = np.empty(MOST_NEIGHBOURS, np.float32), np.empty(MOST_NEIGHBOURS, np.float32)
     for i in range(len(row)):
         y, x = row[i], column[i]
-        top, bottom = max(0, y - reach_y), min(height, y + reach_y + 1)
+        top, bottom = max(0, y - reach_y), min(len(row_start) - 1, y + reach_y + 1)
         if i == row_start[y]:
             pointer[top:bottom] = row_start[top:bottom]
         n = 0
         for r in range(top, bottom):
-            last = row_start[r + 1]
-            k = pointer[r]
+            k, last = pointer[r], row_start[r + 1]
             while k < last and column[k] < x - reach_x:
                 k += 1
             pointer[r] = k
@@ -157,8 +220,5 @@ def slopes(row_start, row, column, inverse, reach_y, reach_x, tolerance, ridge):
                 weight[n] = closeness[r - y + reach_y, column[k] - x + reach_x]
                 n += 1
                 k += 1
-        dy, dx = np.float32(0), np.float32(0)
-        for shrink in (np.float32(1), np.float32(0.5)):
-            dy, dx = fit_plane(value[:n], below[:n], right[:n], weight[:n], dy, dx, shrink * tolerance[i], ridge)
-        slope_y[i], slope_x[i] = dy, dx
+        slope_y[i], slope_x[i] = fit_plane(value, below, right, weight, n, tolerance[i], np.float32(ridge))
     return slope_y, slope_x

@@ -42,8 +42,8 @@ def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, step: float) -> FloatMap:
-    """Spread costs along the cheapest 8-connected paths: a step costs `step` + slope * |change of colour|.
+def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: float) -> FloatMap:
+    """Spread costs along the cheapest 8-connected paths: a step costs slope * max(0, |change of colour| - slack).
 
     Two forward and two backward raster sweeps: exact but for paths that wind more often than that.
 
@@ -51,7 +51,7 @@ def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, step: f
         start: (height, width) cost of starting at a pixel.
         colour: (height, width, 3).
         slope: cost of a unit of colour change, summed over the channels.
-        step: cost of a step on even ground.
+        slack: change that costs nothing, so that a sky that darkens upwards stays one piece.
     """
     height, width = start.shape
     cost = start.copy()
@@ -72,7 +72,7 @@ def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, step: f
                         + abs(colour[y, x, 1] - colour[yy, xx, 1])
                         + abs(colour[y, x, 2] - colour[yy, xx, 2])
                     )
-                    best = min(best, cost[yy, xx] + np.float32(step) + np.float32(slope) * change)
+                    best = min(best, cost[yy, xx] + np.float32(slope) * max(change - np.float32(slack), np.float32(0)))
                 cost[y, x] = best
     return cost
 
@@ -120,6 +120,12 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
     rows, columns, _ = model.shape
     mask = np.empty((height, width), np.bool_)
     line = np.empty((columns, 4), np.float32)
+    block = np.empty(width, np.int64)
+    part = np.empty(width, np.float32)
+    for x in range(width):
+        u = min(max((x + 0.5) / factor - 0.5, 0.0), columns - 1.0)
+        block[x] = min(int(u), max(columns - 2, 0))
+        part[x] = u - block[x]
     scale = np.float32(1 / 255)
     for y in range(height):
         v = min(max((y + 0.5) / factor - 0.5, 0.0), rows - 1.0)
@@ -129,9 +135,8 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
             for c in range(4):
                 line[j, c] = model[i, j, c] + f * (model[below, j, c] - model[i, j, c])
         for x in range(width):
-            u = min(max((x + 0.5) / factor - 0.5, 0.0), columns - 1.0)
-            j = min(int(u), max(columns - 2, 0))
-            right, f = min(j + 1, columns - 1), np.float32(u - j)
+            j, f = block[x], part[x]
+            right = min(j + 1, columns - 1)
             value = line[j, 3] + f * (line[right, 3] - line[j, 3])
             for c in range(3):
                 value += (line[j, c] + f * (line[right, c] - line[j, c])) * (np.float32(image[y, x, c]) * scale)

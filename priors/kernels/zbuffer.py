@@ -32,12 +32,12 @@ def splat(
         P: (3, 4) LiDAR to pixels: K [R t].
         source: number of this sweep, written to sources where its points win.
         agree: share of the depth within which two sweeps see the same surface.
-        free_m: depth (height, width) up to which space is known to be free: nearer points are left out; 0 = not known.
+        free_m: depth (height, width) up to which space is known to be free: nearer points are left out; or (0, 0).
         depth_m: metres; inf where there is no value.
         sources: which sweep each value is from.
     """
     height, width = depth_m.shape
-    twisted = time_s.shape[0] > 0
+    twisted, bounded = time_s.shape[0] > 0, free_m.shape[0] > 0
     speed = np.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
     turn = np.sqrt(velocity[3] ** 2 + velocity[4] ** 2 + velocity[5] ** 2)
     behind, left, right = _outside_planes(P, width)
@@ -65,7 +65,7 @@ def splat(
         if not (u >= 0 and v >= 0 and u < width and v < height):
             continue
         column, row = int(u), int(v)
-        if depth < free_m[row, column]:
+        if bounded and depth < free_m[row, column]:
             continue
         limit = depth_m[row, column]
         if sources[row, column] != source:

@@ -22,7 +22,7 @@ from priors.learn.sky_labels import SKY, UNKNOWN, Sample, read_camvid, read_kitt
 from priors.types import FloatMap, Image
 
 Floats = npt.NDArray[np.float32]
-VARIANTS = {"0001": 6, "0006": 4, "0016": 2, "06": 60, "01": 36, "image_02": 45, "street": 12}
+VARIANTS = {"0001": 6, "0006": 4, "0016": 2, "06": 90, "01": 50, "image_02": 70, "street": 12}
 """How many altered copies of each image: places with few images get more."""
 BLOCKS_PER_IMAGE = 250
 DECAY = 1e-4
@@ -59,7 +59,7 @@ def main() -> None:
     values = [value for value, _ in seconds]
     for held, place in enumerate(places):
         rule = fit_layers(*without(values, labels, held), fit.seed)
-        found = sky.apply_layers(rule, values[held])
+        found = sky.apply_layers(rule, values[held].T)
         print(
             f"{place} held out: IoU {iou(found, labels[held]):.3f}, rule 1 {iou(values[held][:, 0], labels[held]):.3f}"
         )
@@ -96,8 +96,8 @@ def sample_blocks(samples: Sequence[Sample], seed: int) -> list[tuple[Floats, Fl
     drawn = []
     for image, label in altered(samples, rng):
         first, _ = sky.describe(*blocks_of(image))
-        chosen, share = draw(label, first.shape[0], first.shape[1], rng)
-        drawn.append((first.reshape(-1, first.shape[-1])[chosen], share))
+        chosen, share = draw(label, first.shape[1], first.shape[2], rng)
+        drawn.append((first.reshape(len(first), -1)[:, chosen].T, share))
     return drawn
 
 
@@ -108,8 +108,8 @@ def second_blocks(samples: Sequence[Sample], rule: sky.Layers, seed: int) -> tup
     for image, label in altered(samples, rng):
         first, colour = sky.describe(*blocks_of(image))
         second = sky.compare(first, colour, sky.apply_layers(rule, first))
-        chosen, share = draw(label, first.shape[0], first.shape[1], rng)
-        values.append(second.reshape(-1, second.shape[-1])[chosen])
+        chosen, share = draw(label, first.shape[1], first.shape[2], rng)
+        values.append(second.reshape(len(second), -1)[:, chosen].T)
         shares.append(share)
     return np.concatenate(values), np.concatenate(shares)
 
@@ -143,10 +143,12 @@ def alter(image: Image, label: FloatMap, rng: np.random.Generator) -> tuple[Imag
     image, label = crop(image, label, rng)
     light = (image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)).astype(np.float32) / 255
     light = light**2.2
-    if rng.random() < 0.4:  # darker sky: early, late, clouds, or a camera that sees little blue
+    if rng.random() < 0.5:  # another sky: early, late, clouds, deep blue, or a camera that sees little blue
         amount = cv2.GaussianBlur((label == SKY).astype(np.float32), (3, 3), 0)[..., None]
         fall = 1 + rng.uniform(-0.5, 0.8) * np.linspace(0, 1, len(light), dtype=np.float32)[:, None, None]
-        light = light * (1 - amount + amount * rng.uniform(0.15, 1) * fall)
+        blue = rng.uniform(0.5, 1) if rng.random() < 0.5 else 1.0
+        tint = np.array([blue**2, blue, 1], np.float32) * rng.uniform(0.15, 1)
+        light = light * (1 - amount + amount * tint * fall)
     if rng.random() < 0.35:
         light = np.repeat((light @ rng.dirichlet([1, 1.5, 0.6]).astype(np.float32))[..., None], 3, axis=2)
     elif image.ndim == 3:

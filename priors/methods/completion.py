@@ -1,35 +1,43 @@
 """Dense depth from sparse LiDAR and one image, without learning.
 
-1. Samples that the camera cannot see (a scanner beside it looks past near edges) are dropped.
-2. Every sample gets a plane in inverse depth, fitted to its neighbours: exact for planes in space, which are linear in it.
-3. A pixel takes the plane of the sample that is nearest in place and colour, then the average of the planes around
-   that agree with it: edges stay where the image has them, and nothing floats between two surfaces.
-4. Holes wider than the samples' spacing are filled from the same thing at a quarter of the size, and so on.
+1. Samples that the camera cannot see (a scanner beside it looks past near edges) are dropped, and doubtful ones
+   handicapped.
+2. Every sample gets a plane in inverse depth, fitted to its neighbours: a plane in space is one in inverse depth.
+3. A pixel takes the plane of the sample that is nearest in place and brightness, then the average of the planes around
+   that agree with it: edges stay where the image has them.
+4. Holes wider than the samples' spacing are filled from the same thing at a sixth of the size, and so on.
+5. A 5x5 median and a 3x3 blur of inverse depth clean up what is left.
+
+All lengths are in units of the samples' own spacing, so that 64 lines, 8 lines and random points work alike.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Literal, Self, TypeAlias
+from typing import TYPE_CHECKING, Literal, Self
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.methods.lidar import Lidar
 from priors.types import Camera, Depth, FloatMap, Frame, Image, Matrix
 
-Samples: TypeAlias = tuple[npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.int32], npt.NDArray[np.float32]]
+if TYPE_CHECKING:
+    from priors.kernels.samples import Samples
 
-SHRINK = 4  # from one level to the next
-LEVELS = 4
-BEHIND = np.float32(0.1)  # share of inverse depth by which a covering surface is nearer
-LEAST_PARALLAX_PX = np.float32(2)
-USUAL_PULL_PX_M = 100.0  # parallax of a scanner on the car's roof, px per 1/m, where its place is not known
-RIDGE_PX2 = np.float32(0.3)
-SAME_SURFACE, SAME_SURFACE_PER_M = np.float32(0.1), np.float32(0.006)  # neighbours that may tell a sample's slope
+SHRINK, LEVELS = 6, 3  # from one level to the next, and how many: the coarsest cell is 36 pixels
+CELL_PX = 4  # grid of the tests that need no pixel's precision
+LARGEST_GAP_PX = 48  # spacing beyond which the coarser levels do the filling
+BEHIND = 1.1  # ratio of depths from which on two samples are of different surfaces
+COVERED = 0.5  # samples that are more likely covered than this are dropped
+DOUBT = 0.45  # cost of a sample per likelihood of being covered
+FARNESS = 0.2  # cost per e-fold of depth: in doubt the near surface covers the far one
+SAME_SURFACE, SAME_SURFACE_PER_M = np.float32(0.07), np.float32(0.004)  # neighbours that tell a sample's slope
+RIDGE_PX2 = np.float32(1)  # holds slopes that no neighbour tells
 AGREE, AGREE_PER_M = np.float32(0.05), np.float32(0.0005)  # planes that are averaged
-COLOUR = 2e-4  # cost of a squared 8-bit RGB difference: 70 levels weigh as much as one gap
-LARGEST_GAP_PX = 48
+FAR_Y, FAR_X = 1.6, 2.4  # gaps down and across that cost 1; scan lines are denser across than down
+CONTRAST = 6e-4  # cost of a squared 8-bit grey difference: 41 levels cost 1
+EDGE = np.float32(30)  # confidence halves where the blur moves a value by 1/30 of itself
+UNSUPPORTED = np.float32(0.01)  # certainty where even the coarsest level has no sample
 
 
 @dataclass(frozen=True)
@@ -38,23 +46,23 @@ class Completion:
 
     source: Literal["auto", "velodyne_raw", "lidar"] = "auto"
     """Where the samples come from: the data set's own sparse maps, or the lidar method; auto: the former if there."""
-    lidar: Lidar = field(default_factory=lambda: Lidar(sweeps=1))
+    lidar: Lidar = field(default_factory=Lidar)
     """The lidar method's settings, where it is the source."""
     guidance: float = 1.0
-    """How much the image's colours decide which sample a pixel follows; 0: only distance does."""
+    """How much the image's brightness decides which sample a pixel follows; 0: only distance does."""
     reach_px: int = 64
-    """Pixels farther than this from any sample get no value (the sky, mostly)."""
+    """Pixels farther than this from any sample (to within 4) get no value: the sky, mostly."""
 
     def __post_init__(self) -> None:
-        if not self.guidance >= 0 or self.reach_px < 0:
+        if not (np.isfinite(self.guidance) and self.guidance >= 0 and self.reach_px >= 0):
             found = f"guidance {self.guidance} and reach-px {self.reach_px}"
             raise DataError(f"completion: expected guidance >= 0 and reach-px >= 0, found {found}")
 
     def resolve(self, frame: Frame) -> Self:
         """Return the config with the source decided."""
-        if self.source != "auto":
-            return replace(self, lidar=self.lidar.resolve(frame))
-        source: Literal["velodyne_raw", "lidar"] = "velodyne_raw" if frame.has("sparse") else "lidar"
+        source = self.source
+        if source == "auto":
+            source = "velodyne_raw" if frame.has("sparse") else "lidar"
         return replace(self, source=source, lidar=self.lidar.resolve(frame))
 
     def __call__(self, frame: Frame) -> Depth:
@@ -64,9 +72,9 @@ class Completion:
         """
         config = self.resolve(frame)
         sparse = frame.sparse() if config.source == "velodyne_raw" else config.lidar(frame)
-        return complete(
-            sparse.depth_m, frame.image(), frame.camera, frame.T_cam_lidar, self.guidance, reach_px=self.reach_px
-        )
+        # What the lidar method accumulates was seen from many places, and is cleaned of what the camera does not see.
+        T_cam_lidar = frame.T_cam_lidar if config.source == "velodyne_raw" else None
+        return complete(sparse.depth_m, frame.image(), frame.camera, T_cam_lidar, self.guidance, self.reach_px)
 
 
 def complete(
@@ -77,109 +85,124 @@ def complete(
     guidance: float = 1.0,
     reach_px: int = 64,
 ) -> Depth:
-    """Fill a sparse depth map (height, width), metres, 0 (or not finite) = no sample.
+    """Fill a sparse depth map (height, width), metres; what is not in 1 mm .. 10 km is no sample.
 
     Args:
         sparse_m: any number of samples anywhere; scan lines and random points both work.
         image: (height, width, 3) RGB or (height, width) grey, uint8.
-        camera: of both maps.
-        T_cam_lidar: where the scanner is, for the test of what the camera sees; None: somewhere on the car's roof.
+        camera: of both.
+        T_cam_lidar: where the scanner was, to find what it saw and the camera cannot; None: the camera sees all.
         guidance: as in Completion.
         reach_px: as in Completion.
 
     Returns:
-        depth_m and confidence (height, width); both 0 farther than reach_px from any sample, so everywhere without one.
+        depth_m and confidence (height, width), both 0 farther than reach_px from any sample (so everywhere if there
+        is none). Values stay between 0.8 times the nearest sample's and 1.25 times the farthest's.
+
+    Raises DataError where the sizes differ.
     """
     from priors.kernels import samples as kernels
 
     if sparse_m.shape != image.shape[:2]:
-        raise DataError(f"completion: the sparse map is {sparse_m.shape}, the image {image.shape[:2]}: resize neither")
-    known = np.where(np.isfinite(sparse_m) & (sparse_m > 0), sparse_m, np.float32(0)).astype(np.float32)
-    samples = kernels.gather(known)
-    nothing = np.zeros(known.shape, np.float32)
-    if len(samples[3]) == 0:
-        return Depth(nothing, nothing.copy())
+        raise DataError(f"completion: sparse map {sparse_m.shape} and image {image.shape[:2]} differ in size")
+    samples = kernels.gather(np.ascontiguousarray(sparse_m, dtype=np.float32))
+    if not len(samples[3]):
+        return Depth(np.zeros(sparse_m.shape, np.float32), np.zeros(sparse_m.shape, np.float32))
+    doubt = np.zeros(len(samples[3]), np.float32)
+    if T_cam_lidar is not None:
+        samples, doubt = _drop_covered(samples, camera, T_cam_lidar)
+    grey: Image = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+    spread = _spread(samples, doubt, grey, np.float32(guidance * CONTRAST), LEVELS)
+    return _finish(samples, *spread, reach_px, grey.shape)
+
+
+def _drop_covered(samples: "Samples", camera: Camera, T_cam_lidar: Matrix) -> tuple["Samples", FloatMap]:
+    """Return the samples that the camera sees, and the doubt about each."""
+    from priors.kernels import samples as kernels
+
+    _, row, column, _ = samples
     gap_y, gap_x = _gaps(samples)
-    pull = _pull(camera, T_cam_lidar, samples)
-    hidden = kernels.seen_through(*samples, pull, round(1.4 * gap_y), round(2.4 * gap_x), BEHIND, LEAST_PARALLAX_PX)
-    samples = kernels.keep(*samples, ~hidden)
-    guide = np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image
-    inverse, confidence = _spread(samples, guide, guidance, LEVELS)
-    depth_m = 1 / np.clip(inverse, samples[3].min() * 0.8, samples[3].max() * 1.5)
-    near = _near(samples, known.shape, reach_px)
-    return Depth(np.where(near, depth_m, np.float32(0)), np.where(near, confidence, np.float32(0)))
+    x, y, z = T_cam_lidar[:3, 3]
+    pull_y = camera.K[1, 1] * y - (row - camera.K[1, 2]) * z
+    pull_x = camera.K[0, 0] * x - (column - camera.K[0, 2]) * z
+    reach_y, reach_x = round(1.4 * gap_y), round(2.4 * gap_x)
+    cells_m = _thin(samples, camera.size, CELL_PX)
+    window = np.ones((2 * -(-reach_y // CELL_PX) + 1, 2 * -(-reach_x // CELL_PX) + 1), np.uint8)
+    with np.errstate(divide="ignore"):
+        nearest = cv2.dilate(np.where(cells_m > 0, 1 / cells_m, np.float32(0)), window)
+    pulls = pull_y.astype(np.float32), pull_x.astype(np.float32)
+    likely = kernels.covered(*samples, *pulls, 1.2 * gap_y, 1.5 * gap_x, reach_y, reach_x, BEHIND, nearest, CELL_PX)
+    kept = likely < COVERED
+    return kernels.keep(*samples, kept), likely[kept]
 
 
-def _gaps(samples: Samples) -> tuple[float, float]:
+def _gaps(samples: "Samples") -> tuple[float, float]:
     from priors.kernels.samples import gaps
 
     row_start, row, column, _ = samples
-    down, across = gaps(row_start, row, column, LARGEST_GAP_PX, 1 + len(row) // 500)
-    return max(float(down), 1.0), max(float(across), 1.0)
+    down, across = gaps(row_start, row, column, LARGEST_GAP_PX, 1 + len(row) // 300)
+    return max(down, 1.0), max(across, 1.0)
 
 
-def _pull(camera: Camera, T_cam_lidar: Matrix | None, samples: Samples) -> npt.NDArray[np.float32]:
-    """Return the parallax between scanner and camera at every sample, pixels per unit of inverse depth."""
-    _, row, column, inverse = samples
-    if T_cam_lidar is None:
-        return np.full(len(inverse), USUAL_PULL_PX_M * camera.fx / 721, np.float32)
-    x, y, z = T_cam_lidar[:3, 3]
-    across = camera.K[0, 0] * x - (column - camera.K[0, 2]) * z
-    down = camera.K[1, 1] * y - (row - camera.K[1, 2]) * z
-    return (np.abs(across) + np.abs(down) + 1e-3).astype(np.float32)
-
-
-def _spread(samples: Samples, image: Image, guidance: float, levels: int) -> tuple[FloatMap, FloatMap]:
-    """Return inverse depth (1/m) and confidence, with holes filled from the coarser levels."""
+def _spread(
+    samples: "Samples", doubt: FloatMap, image: Image, contrast: np.float32, levels: int
+) -> tuple[FloatMap, FloatMap, int]:
+    """Return inverse depth (1/m), how certain it is, and by how much both are padded; holes are filled."""
     from priors.kernels import samples as kernels
     from priors.kernels import spread
 
-    height, width = image.shape[:2]
-    row_start, row, column, inverse = samples
-    gap_y, gap_x = _gaps(samples)
-    reach_y, reach_x = max(int(np.ceil(1.6 * gap_y)), 6), max(int(np.ceil(2.4 * gap_x)), 6)
-    tolerance = SAME_SURFACE * inverse + SAME_SURFACE_PER_M
-    slope_y, slope_x = kernels.slopes(*samples, reach_y, reach_x, tolerance, RIDGE_PX2)
-    runs = int(np.ceil(2 * reach_x / spread.LANES))
-    pad = max(reach_y, spread.LANES * (runs + 1) // 2)
-    size = (height + 2 * pad, width + 2 * pad)
-    guide = np.empty((3, *size), np.uint8)
-    for channel in range(3):
-        cv2.copyMakeBorder(
-            np.ascontiguousarray(image[..., channel]), pad, pad, pad, pad, cv2.BORDER_REPLICATE, dst=guide[channel]
-        )
-    cost = np.full(size, np.inf, np.float32)
-    value, total, top, bottom = (np.zeros(size, np.float32) for _ in range(4))
-    planes = (row + pad, column + pad, inverse, slope_y, slope_x, guide, reach_y, runs)
-    scale = tuple(np.float32(number) for number in (1 / (1.6 * gap_y) ** 2, 1 / (2.4 * gap_x) ** 2, guidance * COLOUR))
-    spread.choose(*planes, *scale, cost, value, total)
-    spread.blend(*planes, *scale, value, np.float32(1 / (0.03 * np.median(inverse))), top, bottom)
-    inside = (slice(pad, -pad), slice(pad, -pad))
-    dense = top[inside] / np.maximum(bottom[inside], 1e-20)
-    confidence = bottom[inside] / np.maximum(total[inside], 1e-20) / (1 + cost[inside])
-    hole = np.isinf(cost[inside])
-    if levels > 1 and hole.any():
-        small = cv2.resize(image, None, fx=1 / SHRINK, fy=1 / SHRINK, interpolation=cv2.INTER_AREA)
-        coarse, sure = _spread(_thin(samples, small.shape[:2]), small, guidance, levels - 1)
-        dense[hole] = cv2.resize(coarse, (width, height), interpolation=cv2.INTER_LINEAR)[hole]
-        confidence[hole] = 0.5 * cv2.resize(sure, (width, height), interpolation=cv2.INTER_LINEAR)[hole]
-    return dense, confidence
-
-
-def _thin(samples: Samples, size: tuple[int, int]) -> Samples:
-    """Return the samples of the smaller map: the nearest one in every cell."""
-    from priors.kernels.samples import gather
-
     _, row, column, inverse = samples
-    cell = np.minimum(row // SHRINK, size[0] - 1), np.minimum(column // SHRINK, size[1] - 1)
-    largest = np.zeros(size, np.float32)
-    np.maximum.at(largest, cell, inverse)
-    with np.errstate(divide="ignore"):
-        depth_m = np.where(largest > 0, 1 / largest, np.float32(0))
-    return gather(depth_m)
+    gap_y, gap_x = _gaps(samples)
+    reach_y, reach_x = max(round(1.3 * gap_y), 3), max(round(2 * gap_x), 3)
+    runs = -(-2 * reach_x // spread.LANES)
+    pad = max(reach_y, spread.LANES * runs // 2)
+    guide = cv2.copyMakeBorder(image, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
+    work = np.empty((4, *guide.shape), np.float32)  # one array: beyond 4 MB numpy asks for huge pages
+    cost, value, top, bottom = work
+    cost.fill(spread.NOTHING)
+    work[2:].fill(0)
+    place = row + pad, column + pad, inverse
+    tolerance = SAME_SURFACE * inverse + SAME_SURFACE_PER_M
+    slopes = kernels.slopes(*samples, reach_y, max(round(1.3 * gap_x), 3), tolerance, RIDGE_PX2)
+    handicap = np.float32(DOUBT) * doubt - np.float32(FARNESS) * np.log(inverse)
+    planes = (*place, *slopes, handicap - handicap.min(), reach_y, runs)
+    scale = np.float32(1 / (FAR_Y * gap_y) ** 2), np.float32(1 / (FAR_X * gap_x) ** 2)
+    spread.choose(*planes, *scale, guide, contrast, cost, value)
+    spread.blend(*planes, *scale, value, AGREE, AGREE_PER_M, top, bottom)
+    if levels > 1:
+        size = _smaller(image.shape, SHRINK)
+        small = np.asarray(cv2.resize(image, size[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
+        thinned = kernels.gather(_thin(samples, image.shape, SHRINK))
+        coarse = _spread(thinned, np.zeros_like(thinned[3]), small, contrast, levels - 1)
+    else:
+        coarse = np.full((1, 1), np.median(inverse), np.float32), np.full((1, 1), UNSUPPORTED), 0
+    spread.settle(cost, top, bottom, pad, *coarse, SHRINK)
+    return top, cost, pad
 
 
-def _near(samples: Samples, size: tuple[int, int], reach_px: int) -> npt.NDArray[np.bool_]:
-    away = np.ones(size, np.uint8)
-    away[samples[1], samples[2]] = 0
-    return cv2.distanceTransform(away, cv2.DIST_L2, 3) <= reach_px
+def _finish(
+    samples: "Samples", inverse: FloatMap, certain: FloatMap, pad: int, reach_px: int, size: tuple[int, ...]
+) -> Depth:
+    """Clean the inverse depth up and turn it into depth with confidence."""
+    from priors.kernels import spread
+
+    depth_m, confidence, crisp, soft = np.empty((4, *size), np.float32)
+    cv2.medianBlur(inverse[pad : pad + size[0], pad : pad + size[1]], 5, dst=crisp)
+    cv2.GaussianBlur(crisp, (3, 3), 0, dst=soft)
+    empty = _thin(samples, size, CELL_PX) == 0
+    within = (CELL_PX * cv2.distanceTransform(empty.astype(np.uint8), cv2.DIST_L2, 3) <= reach_px).astype(np.uint8)
+    near = cv2.resize(within, None, fx=CELL_PX, fy=CELL_PX, interpolation=cv2.INTER_NEAREST)
+    limits = np.float32(samples[3].min() * 0.8), np.float32(samples[3].max() * 1.25)
+    spread.finish(crisp, soft, certain, pad, near, *limits, EDGE, depth_m, confidence)
+    return Depth(depth_m, confidence)
+
+
+def _smaller(size: tuple[int, ...], step: int) -> tuple[int, int]:
+    return -(-size[0] // step), -(-size[1] // step)
+
+
+def _thin(samples: "Samples", size: tuple[int, ...], step: int) -> FloatMap:
+    """Return the sparse map that is step times smaller, metres: the nearest sample in every cell."""
+    from priors.kernels.samples import thin
+
+    return thin(*samples[1:], step, *_smaller(size, step))

@@ -9,11 +9,10 @@ The windows are angles: what separates a 64-line scanner's samples, turned into 
 """
 
 from dataclasses import dataclass, replace
-from typing import Self, TypeAlias
+from typing import Self
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.geometry import invert
@@ -22,12 +21,14 @@ from priors.types import Depth, FloatMap, Frame, Mask, Matrix, Sweep
 LINE_GAP_RAD = 0.0074  # between two scan lines of an HDL-64: 0.42 degrees
 COLUMN_GAP_RAD = 0.0030  # between two firings of one laser at 10 Hz: 0.17 degrees
 AGREE = 0.02  # share of the depth within which two sweeps see the same surface
-NEARER = 0.05  # share of the depth by which another surface lies in front
+HIDING = ((0.011, 0.008, 0.05), (0.033, 0.022, 0.2))  # rows and columns (rad), and the share by which it is nearer
+FREE = 0.05  # share of the depth that free space ends before the surface behind it
+SUPPORT_RAD = 0.0055  # how far around a value others speak for it
+STEADY = 0.1  # spread of the inverse depth, as a share of its mean, at which a full neighbourhood speaks half for it
 STEREO_SLACK_PX, STEREO_SLACK = 1.0, 0.05  # px at full size plus a share of the disparity
 STEREO_FOCAL_PX = 721.0  # the slack's pixels are those of KITTI's cameras
 SEARCH_MARGIN_PX = 4  # beyond the disparities that the LiDAR saw
 NO_SOURCE = np.int16(32767)
-Sources: TypeAlias = npt.NDArray[np.int16]
 
 
 @dataclass(frozen=True)
@@ -50,6 +51,11 @@ class Lidar:
         if self.sweeps < 1:
             raise DataError(f"lidar: sweeps is {self.sweeps}, expected 1 or more")
 
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Return what a frame must have."""
+        return ("sweep",)
+
     def resolve(self, frame: Frame) -> Self:
         """Return the config as it will work on this drive: without poses or a second camera, parts are off."""
         sweeps = self.sweeps if frame.T_world_cam is not None else 1
@@ -65,8 +71,9 @@ class Lidar:
             depth_m[hidden(depth_m, frame.camera.fx)] = np.inf
         if self.stereo and frame.baseline_m is not None and frame.has("other"):
             depth_m[stereo_denies(frame, depth_m)] = np.inf
+        sure = confidence(depth_m, frame.camera.fx)
         depth_m[np.isinf(depth_m)] = 0
-        return Depth(depth_m)
+        return Depth(depth_m, sure)
 
 
 def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
@@ -78,7 +85,7 @@ def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
 
     depth_m = np.full(frame.camera.size, np.inf, dtype=np.float32)
     sources = np.full(frame.camera.size, NO_SOURCE)
-    free_m = np.zeros(frame.camera.size, dtype=np.float32)
+    free_m = np.zeros((0, 0), dtype=np.float32)  # not known
     found = False
     for offset in sorted(range(-(count // 2), (count + 1) // 2), key=abs):
         placed = _place(frame, offset)
@@ -116,18 +123,19 @@ def _place(frame: Frame, offset: int) -> tuple[Sweep, Matrix] | None:
 
 
 def hidden(depth_m: FloatMap, fx_px: float) -> Mask:
-    """Tell which values (height, width; inf = none, may come out either way) lie inside a nearer surface's outline.
+    """Tell which values (height, width; inf = none) lie inside a nearer surface's outline.
 
-    A value is inside when each of the four quadrants around it, a scan line's gap high, holds a nearer value. No plane
-    hides itself, however grazing: on one side of every line in the image its depth does not fall.
+    A value is inside when each of the four quadrants around it holds a nearer value. No plane hides itself, however
+    grazing: on one side of every line in the image its depth does not fall. The windows are larger than a scan line's
+    gap because glass and glossy paint return nothing; the larger one asks for a surface that is clearly another.
     """
-    height, width = depth_m.shape
-    rows, columns = window(fx_px)
-    nearest = _nearest(depth_m, rows, columns)
-    farthest = np.maximum(nearest[:height, :width], nearest[rows:, :width])  # above left, below left
-    np.maximum(farthest, nearest[:height, columns:], out=farthest)
-    np.maximum(farthest, nearest[rows:, columns:], out=farthest)
-    return farthest < np.multiply(depth_m, np.float32(1 - NEARER), out=nearest[:height, :width])
+    from priors.kernels.visibility import hide
+
+    inside = np.zeros(depth_m.shape, dtype=bool)
+    for rows_rad, columns_rad, share in HIDING:
+        nearest_m = _nearest(depth_m, round(rows_rad * fx_px), round(columns_rad * fx_px))
+        hide(depth_m, nearest_m, share, inside)
+    return inside
 
 
 def free_space(own_m: FloatMap, fx_px: float) -> FloatMap:
@@ -136,13 +144,12 @@ def free_space(own_m: FloatMap, fx_px: float) -> FloatMap:
     It is where samples lie both above and below, within a scan line's gap: a little less far than the nearest of them.
     A point nearer than that was not there when this sweep, and the camera, looked.
     """
+    from priors.kernels.visibility import free_until
+
     height, width = own_m.shape
     rows, columns = window(fx_px)
-    nearest = _nearest(own_m, rows, 2 * columns)[:, columns : columns + width]
-    above, below = nearest[:height], nearest[rows:]
-    free_m = np.minimum(above, below) * np.float32(1 - NEARER)
-    free_m[np.isinf(np.maximum(above, below))] = 0
-    return free_m
+    nearest_m = _nearest(own_m, rows, 2 * columns)[:, columns : columns + width]
+    return free_until(nearest_m, height, FREE)
 
 
 def window(fx_px: float) -> tuple[int, int]:
@@ -165,33 +172,32 @@ def stereo_denies(frame: Frame, depth_m: FloatMap) -> Mask:
 
     A value may agree with any of the 3x3 disparities around it: at an outline the match is not sharper than that.
     """
+    from priors.kernels.visibility import deny
     from priors.matching import quick_match
 
-    if frame.baseline_m is None or np.isinf(depth_m).all():
+    if frame.baseline_m is None:
         return np.zeros(depth_m.shape, dtype=bool)
-    disparity_px = np.float32(frame.camera.fx * frame.baseline_m) / depth_m  # 0 where there is no value
-    some_px = disparity_px[::3, ::3]
-    largest_px = int(np.ceil(np.quantile(some_px[some_px > 0], 0.999))) + SEARCH_MARGIN_PX if some_px.any() else None
     image, other = frame.image(), frame.other()
+    focal_baseline = frame.camera.fx * frame.baseline_m
+    largest_px = None  # the match finds it
+    some_m = depth_m[::3, ::3]
+    some_m = some_m[some_m < np.inf]
+    if some_m.size > 0:
+        largest_px = int(min(focal_baseline / np.quantile(some_m, 0.001), image.shape[1] / 2)) + SEARCH_MARGIN_PX
     if frame.side == "left":
         matched_px = quick_match(image, other, largest_px)
     else:  # in the mirror, the right camera is the left one
         matched_px = quick_match(image[:, ::-1], other[:, ::-1], largest_px)[:, ::-1]
-    lowest_px, highest_px = _spread(matched_px)
-    slack_px = np.float32(STEREO_SLACK) * disparity_px + np.float32(STEREO_SLACK_PX * frame.camera.fx / STEREO_FOCAL_PX)
-    denied = disparity_px + slack_px < lowest_px
-    denied |= disparity_px - slack_px > highest_px
-    return denied
+    slack_px = STEREO_SLACK_PX * frame.camera.fx / STEREO_FOCAL_PX
+    return deny(depth_m, matched_px, focal_baseline, slack_px, STEREO_SLACK)
 
 
-def _spread(matched_px: FloatMap) -> tuple[FloatMap, FloatMap]:
-    """Return the least and the greatest match in 3x3 pixels; 0 and inf, which deny nothing, where there is none."""
-    around = np.ones((3, 3), np.uint8)
-    unknown = matched_px == 0
-    highest_px = np.asarray(cv2.dilate(matched_px, around), dtype=np.float32)
-    highest_px[unknown] = np.inf
-    lowest_px = matched_px.copy()
-    lowest_px[unknown] = np.inf
-    lowest_px = np.asarray(cv2.erode(lowest_px, around), dtype=np.float32)
-    lowest_px[unknown] = 0
-    return lowest_px, highest_px
+def confidence(depth_m: FloatMap, fx_px: float) -> FloatMap:
+    """Return how well the values around speak for each (height, width; inf = none), in [0, 1].
+
+    It is the share of the neighbourhood that has values, over 1 + (spread / STEADY)^2 with the spread of their inverse
+    depth (standard deviation over mean): high inside a surface that many samples hit, low at outlines and for strays.
+    """
+    from priors.kernels.support import support
+
+    return support(depth_m, round(SUPPORT_RAD * fx_px), STEADY)

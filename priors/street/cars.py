@@ -179,14 +179,14 @@ def _details(shape: Shape, key: float, rng: np.random.Generator) -> list[Mesh]:
     for side in (1, -1):
         head = sorted((side * 0.44 * half, side * 0.79 * half))
         tail = sorted((side * 0.62 * half, side * 0.86 * half))
-        mirror = sorted((side * 0.93 * half, side * 1.13 * half))
+        mirror = sorted((side * 0.76 * half, side * 1.09 * half))
         x = (shape.foot[1] - 0.545) * shape.length_m
         lamp = [front - 0.2, head[0], hood * 0.60], [front + 0.008, head[1], hood * 0.75]
         light = [rear - 0.008, tail[0], belt * 0.62], [rear + 0.12, tail[1], belt * 0.84]
         parts += [
             mesh.box(*lamp, Material.LAMP, [0.6] * 3, key),
             mesh.box(*light, Material.LAMP, [0.30, 0.012, 0.012], key),
-            mesh.box([x, mirror[0], belt + 0.01], [x + 0.09, mirror[1], belt + 0.14], Material.PLAIN, BLACK, key),
+            mesh.box([x, mirror[0], belt + 0.01], [x + 0.08, mirror[1], belt + 0.13], Material.PLAIN, BLACK, key),
         ]
     for x, z in ((front + 0.012, 0.42), (rear - 0.012, belt * 0.60)):
         plate = [x, -0.26, z], [x, 0.26, z], [x, 0.26, z + 0.11], [x, -0.26, z + 0.11]

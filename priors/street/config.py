@@ -52,14 +52,16 @@ class StreetConfig:
     """Factor on all light before the camera's curve."""
     warmth: float = 0.0
     """Colour balance of the camera: > 0 redder, < 0 bluer."""
+    saturation: float = 1.3
+    """Factor on colour differences; cameras exaggerate them."""
     blur_px: float = 0.5
     """Standard deviation of the lens's blur, pixels."""
     camera_height_m: float = 1.65
     """Height of the cameras above the road."""
     speed_mps: float = 10.0
     """Mean speed of the rig."""
-    traffic: int = 3
-    """Moving cars."""
+    traffic_gap_m: float = 70.0
+    """Mean distance between oncoming cars."""
     walkers: int = 2
     """Moving people; others stand still."""
 
@@ -91,10 +93,11 @@ class StreetConfig:
             haze_m=rng.uniform(1200.0, 6000.0),
             exposure=rng.uniform(0.6, 0.95),
             warmth=rng.uniform(-0.06, 0.06),
+            saturation=rng.uniform(1.15, 1.55),
             blur_px=rng.uniform(0.4, 0.65),
             camera_height_m=rng.uniform(1.6, 1.7),
             speed_mps=rng.uniform(8.0, 13.0),
-            traffic=int(rng.integers(2, 5)),
+            traffic_gap_m=rng.uniform(30.0, 120.0),
             walkers=int(rng.integers(0, 4)),
         )
 

@@ -27,6 +27,8 @@ SHINE[Material.LAMP] = 0.10, 0.6
 SHINE[Material.PLATE] = 0.02, 0.3
 SHINE[Material.RUBBER] = 0.01, 0.15
 SHINE[Material.ASPHALT] = 0.0, 0.12
+LEAST_SHINE = 0.004
+"""Reflections weaker than this are left out."""
 MIRRORS = (Material.PAINT, Material.CAR_GLASS, Material.GLASS, Material.METAL, Material.RIM, Material.LAMP)
 
 
@@ -61,7 +63,7 @@ class Light:
         self.to_sun = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(height)], np.float32)
         self._config = config
         self._sun = np.float32(2.7 * config.sun_strength) * SUN_COLOUR
-        self._ambient = np.float32(0.36 + 0.8 * (1 - min(config.sun_strength, 1.0)))
+        self._ambient = np.float32(0.30 + 0.85 * (1 - min(config.sun_strength, 1.0)))
 
     def sky(self, directions: Floats) -> Floats:
         """Return radiance (n, 3) of the sky in unit directions (n, 3): gradient, clouds, glow around the sun."""
@@ -90,16 +92,17 @@ class Light:
         ambient = self._ambient * (SKY_COLOUR * above + bounce * (1 - above)) * (0.06 + 1.1 * surface.open)[:, None]
         ambient[leafy] *= 1.5
         out = surface.albedo * (self._sun * (diffuse * surface.lit)[:, None] + ambient)
-        shiny = np.flatnonzero(SHINE[surface.material, 1] > 0)
+        along = np.abs(np.einsum("ni,ni->n", surface.normal, surface.view))
+        low, high = SHINE[surface.material].T
+        strength = low + (high - low) * (1 - along) ** 5
+        shiny = np.flatnonzero(strength > LEAST_SHINE)
         if shiny.size:
-            out[shiny] += self._reflection(surface.pick(shiny))
+            out[shiny] += self._reflection(surface.pick(shiny), strength[shiny])
         return out
 
-    def _reflection(self, surface: Surface) -> Floats:
+    def _reflection(self, surface: Surface, strength: Floats) -> Floats:
         along = np.einsum("ni,ni->n", surface.normal, surface.view)
         mirrored = surface.view - 2 * along[:, None] * surface.normal
-        low, high = SHINE[surface.material].T
-        strength = low + (high - low) * (1 - np.abs(along)) ** 5
         # What is mirrored near the horizon is the other side of the street, not the sky.
         azimuth = np.arctan2(mirrored[:, 1], mirrored[:, 0]).astype(np.float32)
         ring = np.stack([azimuth, mirrored[:, 2]], axis=1)
@@ -119,9 +122,11 @@ class Light:
         return radiance * through + HORIZON_COLOUR * np.float32(0.8 * self._config.sky_strength) * (1 - through)
 
 
-def develop(radiance: Floats, exposure: float, warmth: float) -> Floats:
-    """Turn radiance (..., 3) into display values 0..255: exposure, balance, a curve with a little toe, clipping."""
+def develop(radiance: Floats, exposure: float, warmth: float, saturation: float) -> Floats:
+    """Turn radiance (..., 3) into display values 0..255: exposure, colour, a curve with a little toe, clipping."""
     balance = np.array([1 + warmth, 1.0, 1 - warmth], np.float32)
-    x = np.clip(radiance * balance * np.float32(exposure), 0, 1)
+    x = radiance * balance * np.float32(exposure)
+    grey = x.mean(axis=-1, keepdims=True)
+    x = np.clip(grey + np.float32(saturation) * (x - grey), 0, 1)
     curve = x ** np.float32(1 / 2.1)
     return np.asarray(255 * (0.01 + 0.99 * curve * (0.80 + 0.20 * curve)), np.float32)

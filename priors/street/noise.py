@@ -39,7 +39,9 @@ def sample(u: Floats, v: Floats) -> Floats:
     n, width = len(u), 1024
     rows = -(-n // width)
     maps = np.zeros((2, rows * width), np.float32)
-    maps[0, :n], maps[1, :n] = np.mod(u, np.float32(SIDE)), np.mod(v, np.float32(SIDE))
+    for row, place in zip(maps, (u, v), strict=True):
+        turns = place * np.float32(1 / SIDE)
+        np.multiply(turns - np.floor(turns), np.float32(SIDE), out=row[:n])  # np.mod takes four times as long
     grid = maps.reshape(2, rows, width)
     read = cv2.remap(tile(), grid[0], grid[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     return np.asarray(read.reshape(-1)[:n], np.float32)
@@ -76,6 +78,7 @@ def hash_(*parts: Floats) -> Floats:
 
 def line(distance_m: Floats, half_width_m: float | Floats, footprint_m: Floats) -> Floats:
     """Return the share (0..1) of a pixel that a line covers, given the pixel's distance from the line's middle."""
-    soft = np.maximum(footprint_m, np.float32(0.004))
-    edge = np.clip((half_width_m - np.abs(distance_m)) / soft + 0.5, 0, 1)
-    return (edge * np.minimum(1, 2 * half_width_m / soft)).astype(np.float32)
+    pixel = np.maximum(footprint_m, np.float32(0.004))
+    first = np.maximum(distance_m - 0.5 * pixel, -half_width_m)
+    last = np.minimum(distance_m + 0.5 * pixel, half_width_m)
+    return np.maximum(last - first, 0) / pixel

@@ -11,13 +11,15 @@ from priors import geometry
 from priors.street.light import Light, Surface, develop
 from priors.street.materials import CURVED, LAST_GROUND
 from priors.street.openness import Openness
+from priors.street.patch import Patch
 from priors.street.scene import Hits, Scene
-from priors.street.textures import Patch, albedo
+from priors.street.textures import albedo
 from priors.street.world import World
 from priors.types import Camera, FloatMap, Image, Mask, Matrix
 
 Floats = npt.NDArray[np.floating]
-SUBPIXELS = np.array([[0.25, -0.25, 0], [-0.25, 0.25, 0], [-0.25, -0.25, 0], [0.25, 0.25, 0]], np.float32)
+SUBPIXELS = np.array([[0.33, -0.12, 0], [-0.27, -0.23, 0], [-0.06, 0.35, 0]], np.float32)
+"""Where the extra rays of an edge pixel go, pixels from its centre."""
 WHITE = 1.6
 """Radiance beyond which a pixel is white at any exposure."""
 NEAR_DEPTHS = 1.04
@@ -62,11 +64,11 @@ class Renderer:
         hits, shown, lit = self._look(directions, T_world_cam, time_s, pixel)
         edges = np.flatnonzero(self._edges(hits, lit, camera.size))
         if edges.size:
-            total = np.zeros((edges.size, 3), np.float32)
+            total = shown[edges]
             for offset in SUBPIXELS:
                 moved = directions[edges] + offset / focal
                 total += self._look(moved, T_world_cam, time_s, 0.5 * pixel)[1]
-            shown[edges] = total / np.float32(len(SUBPIXELS))
+            shown[edges] = total / np.float32(len(SUBPIXELS) + 1)
         depth = np.where(np.isfinite(hits.distance), hits.distance, np.float32(0)).reshape(camera.size)
         image = self._sensor(shown.reshape(*camera.size, 3), rng)
         return View(image, depth, (hits.triangle < 0).reshape(camera.size))
@@ -154,7 +156,7 @@ class Renderer:
         falloff = 1 - np.float32(0.10) * (0.85 * x * x + 0.15 * y * y)
         gain = self._config.exposure * (1 + rng.normal(0, 0.02))
         blurred = cv2.GaussianBlur(radiance * falloff[..., None], (3, 3), self._config.blur_px)
-        values = develop(blurred, gain, self._config.warmth + rng.normal(0, 0.004))
-        sigma = 0.8 + 0.09 * np.sqrt(values)
+        values = develop(blurred, gain, self._config.warmth + rng.normal(0, 0.004), self._config.saturation)
+        sigma = 1.0 + 0.10 * np.sqrt(values)
         values += sigma * rng.standard_normal(values.shape, dtype=np.float32)
         return np.clip(np.rint(values), 0, 255).astype(np.uint8)

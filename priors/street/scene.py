@@ -12,6 +12,8 @@ from priors.street.mesh import Mesh
 
 Floats = npt.NDArray[np.floating]
 Times = npt.NDArray[np.floating]
+SIGHT_M = 250.0
+"""Bodies farther than this from every ray's origin are left out, metres."""
 WANDER_M = 3.0
 """How far a body may be from its middle place within one turn of the scanner, metres."""
 
@@ -107,6 +109,8 @@ def _near(
     if len(times) > 1:
         radius += WANDER_M
     offset = (T_world_middle[:3, :3] @ centre + T_world_middle[:3, 3]).astype(np.float32) - origins
+    if np.einsum("ni,ni->n", offset, offset).min() > SIGHT_M**2:
+        return np.zeros(0, np.int64), T_world_middle[None].astype(np.float32)
     along, length2 = _dot(offset, directions), _dot(directions, directions)
     apart2 = _dot(offset, offset) - along * along / length2
     reach = radius * np.sqrt(length2)

@@ -1,7 +1,5 @@
 """A street to look at: pictures with truth from any pose, and the rig's own drive through it."""
 
-from functools import cached_property
-
 import numpy as np
 import numpy.typing as npt
 
@@ -26,10 +24,7 @@ class Street:
         self.world = World(self.config)
         self.ego = Ego(self.config, self.world.path)
         self.scene = Scene(self.world.still, self.world.bodies)
-
-    @cached_property
-    def _renderer(self) -> Renderer:
-        return Renderer(self.world, self.scene)
+        self._renderer = Renderer(self.world, self.scene)
 
     def T_world_cam(self, time_s: float) -> Matrix:
         """Return the left camera's pose (4, 4) on the rig's drive."""

@@ -37,7 +37,7 @@ class World:
             parts += self._side(side)
         # What is far from the centre line is not bent: offset curves of that size would fold.
         self.still = mesh.merge([self._bend(mesh.merge(parts)), ground.terrain(config, BEHIND_M), *self._distance()])
-        self.bodies = self._traffic(rng)
+        self.bodies = self._traffic()
 
     def _bend(self, straight: Mesh) -> Mesh:
         parts = range(0, len(straight), CHUNK)
@@ -182,23 +182,27 @@ class World:
         parts.append(mesh.loft(crest, Material.FAR, HILL_TINT, 9.0))
         return parts
 
-    def _traffic(self, rng: np.random.Generator) -> list[Body]:
-        """Set cars going, one ahead in the rig's lane, the others oncoming, and people walking."""
-        config, bodies = self.config, []
-        for number in range(config.traffic):
-            vehicle = cars.car(rng)
-            ahead = number == 0
-            speed = config.speed_mps * float(rng.uniform(0.9, 1.1)) if ahead else -float(rng.uniform(7, 13))
-            start = float(rng.uniform(14, 30)) if ahead else float(rng.uniform(25, 60)) + 45.0 * (number - 1)
-            lane = -0.5 * config.lane_m if config.lanes == 2 else -config.lane_m
-            t = lane + float(rng.normal(0, 0.1)) if ahead else -lane + float(rng.normal(0, 0.1))
-            bodies.append(Body(vehicle, partial(_moving, self.path, start, speed, t, 0.0)))
+    def _traffic(self) -> list[Body]:
+        """Set cars going, one ahead in the rig's lane at its pace, the others oncoming, and people walking."""
+        config = self.config
+        rng = np.random.default_rng([config.seed, 9])
+        lane = -0.5 * config.lane_m if config.lanes == 2 else -config.lane_m
+        pace = config.speed_mps * float(rng.uniform(0.99, 1.05))
+        bodies = [self._body(cars.car(rng), float(rng.uniform(14, 30)), pace, lane + float(rng.normal(0, 0.1)), 0.0)]
+        start = float(rng.uniform(20, 50))
+        while start < 2 * config.length_m:
+            t, speed = float(rng.normal(0, 0.1)) - lane, float(rng.uniform(9, 11))
+            bodies.append(self._body(cars.car(rng), start, -speed, t, 0.0))
+            start += float(rng.uniform(0.5, 1.5)) * config.traffic_gap_m
+        rng = np.random.default_rng([config.seed, 10])
         for _ in range(config.walkers):
-            side, speed = float(rng.choice([-1, 1])), float(rng.uniform(1.0, 1.6)) * float(rng.choice([-1, 1]))
-            t = side * (config.kerb_m(int(side)) + KERB_M + 0.9)
-            pose = partial(_moving, self.path, float(rng.uniform(8, 60)), speed, t, KERB_HEIGHT_M)
-            bodies.append(Body(people.person(rng), pose))
+            side, speed = int(rng.choice([-1, 1])), float(rng.uniform(1.0, 1.6)) * float(rng.choice([-1, 1]))
+            t = side * (config.kerb_m(side) + KERB_M + 0.9)
+            bodies.append(self._body(people.person(rng), float(rng.uniform(8, 60)), speed, t, KERB_HEIGHT_M))
         return bodies
+
+    def _body(self, body: Mesh, start_m: float, speed_mps: float, t_m: float, up_m: float) -> Body:
+        return Body(body, partial(_moving, self.path, start_m, speed_mps, t_m, up_m))
 
 
 def _moving(path: Path, start_m: float, speed_mps: float, t_m: float, up_m: float, time_s: Values) -> Values:

@@ -57,3 +57,25 @@ def free_space(own_m, rows, columns, nearer):
         if np.isfinite(above) and np.isfinite(below):
             out[v, u] = min(above, below) * np.float32(1 - nearer)
     return out
+
+
+def confidence(depth_m, reach, steady):
+    """Share of the window that has values, over 1 + (relative spread of their inverse depth / steady)^2."""
+    out = np.zeros(depth_m.shape)
+    for v, u in np.argwhere(np.isfinite(depth_m)):
+        window = depth_m[max(0, v - reach) : v + reach + 1, max(0, u - reach) : u + reach + 1]
+        inverse = 1 / window[np.isfinite(window)].astype(np.float64)
+        out[v, u] = len(inverse) / window.size / (1 + (inverse.std() / inverse.mean() / steady) ** 2)
+    return out
+
+
+def deny(depth_m, matched_px, focal_baseline, slack_px, slack):
+    """A depth is denied where its disparity is outside the range of the matches (> 0) in 3x3 pixels, if it has one."""
+    out = np.zeros(depth_m.shape, dtype=bool)
+    padded = np.pad(matched_px, 1)
+    for v, u in np.argwhere(np.isfinite(depth_m) & (matched_px > 0)):
+        around = padded[v : v + 3, u : u + 3]
+        disparity = focal_baseline / float(depth_m[v, u])
+        tolerance = slack_px + slack * disparity
+        out[v, u] = not around[around > 0].min() - tolerance <= disparity <= around.max() + tolerance
+    return out

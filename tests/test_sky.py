@@ -1,0 +1,144 @@
+"""Sky mask: shapes and kinds of images, scenes with a known answer, real frames, and its kernels against numpy."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from priors import sky
+from priors.kernels import sky as kernels
+from priors.learn.sky_labels import SKY, UNKNOWN, read_camvid
+from priors.sky import sky_mask
+
+
+def painted(size: tuple[int, int] = (375, 1242)) -> tuple[np.ndarray, np.ndarray]:
+    """A road, house fronts, a pole and a sky that brightens towards the horizon; and the sky's mask."""
+    height, width = size
+    rng = np.random.default_rng(0)
+    noise = cv2.GaussianBlur(rng.normal(size=size), (0, 0), 1)[..., None] * 120
+    image = np.clip(np.array([70, 66, 60]) + noise, 0, 255)
+    v, u = np.mgrid[0:height, 0:width] / np.array([height, width]).reshape(2, 1, 1)
+    mask = v < 0.45 - 0.5 * np.abs(u - 0.5)
+    pole = np.abs(u - 0.45) < 4 / width
+    mask &= ~pole
+    blue = np.array([150, 190, 240]) + (v * 60)[..., None]
+    image = np.where(mask[..., None], np.minimum(blue, 255), np.where(pole[..., None], 40, image))
+    return image.astype(np.uint8), mask
+
+
+def iou(found: np.ndarray, true: np.ndarray) -> float:
+    return float(np.sum(found & true) / np.sum(found | true))
+
+
+def test_painted_sky_is_found_and_the_pole_before_it_is_not() -> None:
+    image, mask = painted()
+    found = sky_mask(image)
+    assert iou(found, mask) > 0.95
+    centre = round(0.45 * image.shape[1])
+    assert np.mean(found[:140, centre - 2 : centre + 3]) < 0.1
+    assert found[:140, centre - 30].all()
+
+
+@pytest.mark.parametrize("gain", [0.5, 1.0])
+def test_exposure_and_resolution_do_not_matter_much(gain: float) -> None:
+    image, mask = painted()
+    assert iou(sky_mask((image * gain).astype(np.uint8)), mask) > 0.93
+    small = cv2.resize(image, (397, 120), interpolation=cv2.INTER_AREA)
+    assert iou(sky_mask(small), cv2.resize(mask.astype(np.uint8), (397, 120)) > 0) > 0.85
+
+
+def test_grey_image_is_read_as_its_three_equal_channels() -> None:
+    grey = cv2.cvtColor(painted()[0], cv2.COLOR_RGB2GRAY)
+    np.testing.assert_array_equal(sky_mask(grey), sky_mask(np.repeat(grey[..., None], 3, axis=2)))
+
+
+@pytest.mark.parametrize("level", [0, 30, 128])
+def test_textured_ground_everywhere_is_no_sky(level: int) -> None:
+    noise = cv2.GaussianBlur(np.random.default_rng(1).normal(size=(200, 300, 3)), (0, 0), 2)
+    assert np.mean(sky_mask(np.clip(level + 300 * noise, 0, 255).astype(np.uint8))) < 0.01
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.integers(0, 40), st.integers(0, 60), st.booleans(), st.integers(0, 255))
+def test_any_size_gives_a_mask_of_that_size(height: int, width: int, grey: bool, level: int) -> None:
+    image = np.full((height, width) if grey else (height, width, 3), level, np.uint8)
+    found = sky_mask(image)
+    assert found.shape == (height, width)
+    assert found.dtype == np.bool_
+
+
+def test_strided_images_are_read_as_they_look() -> None:
+    image, _ = painted((120, 300))
+    bgr = np.ascontiguousarray(image[..., ::-1])
+    np.testing.assert_array_equal(sky_mask(bgr[..., ::-1]), sky_mask(image))
+
+
+def test_the_given_image_is_not_written_to() -> None:
+    image, _ = painted((120, 300))
+    copy = image.copy()
+    sky_mask(image)
+    np.testing.assert_array_equal(image, copy)
+
+
+def test_camvid_frames(real_data: Callable[..., Path]) -> None:
+    both = either = 0
+    for sample in list(read_camvid(real_data("camvid"), "val"))[::10]:
+        known = sample.label != UNKNOWN
+        found, true = sky_mask(sample.image) & known, sample.label == SKY
+        both += np.count_nonzero(found & true)
+        either += np.count_nonzero(found | true)
+    assert both / either > 0.9
+
+
+@given(st.integers(1, 5), st.integers(1, 13), st.integers(1, 13), st.integers(0, 99))
+@settings(deadline=None)
+def test_shrink_is_the_mean_of_blocks(factor: int, height: int, width: int, seed: int) -> None:
+    image = np.random.default_rng(seed).integers(0, 256, (height, width, 3)).astype(np.uint8)
+    colour, texture = kernels.shrink(image, factor)
+    grey = (image.astype(int) @ [77, 150, 29]) >> 8
+    for i, j in np.ndindex(texture.shape):
+        block = slice(i * factor, (i + 1) * factor), slice(j * factor, (j + 1) * factor)
+        np.testing.assert_allclose(colour[i, j], image[block].mean(axis=(0, 1)) / 255, atol=1e-6)
+        np.testing.assert_allclose(texture[i, j], grey[block].std() / 255, atol=1e-4)
+    assert texture.shape == (-(-height // factor), -(-width // factor))
+
+
+@given(st.integers(0, 99))
+@settings(deadline=None)
+def test_growth_never_undercuts_the_cheapest_path_and_reaches_it_on_open_ground(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    colour = rng.uniform(0, 1, (5, 6, 3)).astype(np.float32)
+    start = rng.uniform(0, 5, (5, 6)).astype(np.float32)
+    exact = start.astype(np.float64)
+    for _ in range(30):  # Bellman-Ford
+        for y, x in np.ndindex(5, 6):
+            for yy, xx in np.ndindex(5, 6):
+                if max(abs(y - yy), abs(x - xx)) == 1:
+                    change = float(np.abs(colour[y, x] - colour[yy, xx]).sum())
+                    exact[y, x] = min(exact[y, x], exact[yy, xx] + 2 * max(0, change - 0.1))
+    grown = kernels.grow(start, colour, 2.0, 0.1)
+    assert (grown >= exact - 1e-5).all()
+    assert np.mean(np.abs(grown - exact) < 1e-4) > 0.9
+
+
+def test_guided_model_repeats_a_target_that_is_linear_in_colour() -> None:
+    image = np.random.default_rng(0).integers(0, 256, (24, 30, 3)).astype(np.uint8)
+    colour, _ = kernels.shrink(image, 1)
+    weights = np.array([0.5, -0.3, 0.4], np.float32)
+    model = sky.guided_model(colour, colour @ weights + np.float32(0.2), smoothing=1e-7)
+    np.testing.assert_allclose(model[..., :3], np.broadcast_to(weights, (24, 30, 3)), atol=1e-3)
+    np.testing.assert_allclose(model[..., 3], 0.2, atol=1e-3)
+    expected = (image / 255) @ weights.astype(float) + 0.2
+    clear = np.abs(expected - 0.5) > 1e-3
+    np.testing.assert_array_equal(kernels.apply_linear(image, model, 1)[clear], (expected > 0.5)[clear])
+
+
+def test_model_is_interpolated_between_block_centres() -> None:
+    model = np.zeros((1, 2, 4), np.float32)
+    model[0, 1, 3] = 1  # 0 at the left block's centre, 1 at the right one's
+    mask = kernels.apply_linear(np.zeros((4, 8, 3), np.uint8), model, 4)
+    np.testing.assert_array_equal(mask, np.tile(np.arange(8) >= 4, (4, 1)))
