@@ -15,12 +15,13 @@ from eval.image import as_uint8
 from nerf.pictures import OPAQUE, Render, RenderedView
 from priors.errors import DataError
 from priors.geometry import invert, rays
-from priors.types import Camera, Depth, Image, Matrix
+from priors.types import Camera, Depth, Matrix
 
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 )  # fmt: skip
 HEADER_BYTES = 320  # filled up, since the number of points is known last
+BLOCK_VOXELS, FIRST_BLOCKS, TRUNCATION_VOXELS = 16, 10_000, 4.0
 Points: TypeAlias = npt.NDArray[np.void]
 Poses = npt.NDArray[np.float64]
 Step = Callable[[], None]
@@ -124,21 +125,26 @@ def write_mesh(
     A truncated signed distance volume (Curless and Levoy, SIGGRAPH 1996) through open3d.
 
     Raises:
-        DataError: open3d cannot be imported, or cannot write such a file.
+        DataError: open3d cannot be imported, the views hold no surface, or open3d cannot write such a file.
     """
     open3d = _open3d()
-    pipeline = open3d.pipelines.integration
-    volume = pipeline.ScalableTSDFVolume(
-        voxel_length=config.voxel_m, sdf_trunc=4 * config.voxel_m, color_type=pipeline.TSDFVolumeColorType.RGB8
+    image, matrix, float32 = open3d.t.geometry.Image, open3d.core.Tensor, open3d.core.float32
+    grid = open3d.t.geometry.VoxelBlockGrid(
+        ("tsdf", "weight", "color"), (float32,) * 3, (1, 1, 3), config.voxel_m, BLOCK_VOXELS, FIRST_BLOCKS
     )
-    height, width = camera.size
-    K = camera.K
-    intrinsic = open3d.camera.PinholeCameraIntrinsic(width, height, K[0, 0], K[1, 1], K[0, 2], K[1, 2])
+    K, limits = matrix(camera.K), (1.0, config.farthest_m, TRUNCATION_VOXELS)  # a depth unit, metres
     for pose in T_world_cam:
         view = render(pose, camera)
-        volume.integrate(_rgbd(open3d, as_uint8(view.rgb), _taken(view, config), config), intrinsic, invert(pose))
+        depth = image(_taken(view, config).depth_m)
+        rgb, extrinsic = image(np.clip(view.rgb, 0, 1).astype(np.float32)), matrix(invert(pose))
+        blocks = grid.compute_unique_block_coordinates(depth, K, extrinsic, *limits)
+        grid.integrate(blocks, depth, rgb, K, K, extrinsic, *limits)
         on_view()
-    mesh = volume.extract_triangle_mesh()
+    mesh = grid.extract_triangle_mesh(weight_threshold=0.5).to_legacy()  # one view is enough
+    if not len(mesh.triangles):
+        raise DataError(
+            f"{path}: no surface in {len(T_world_cam)} views within {config.farthest_m:g} m: no mesh to write"
+        )
     mesh.compute_vertex_normals()
     path.parent.mkdir(parents=True, exist_ok=True)
     if not open3d.io.write_triangle_mesh(str(path), mesh):
@@ -155,13 +161,6 @@ def _open3d() -> Any:
             f"a mesh needs open3d, which cannot be imported ({error}): pip install 'roadprior[mesh]' and "
             "apt-get install libusb-1.0-0 libgl1; a point cloud needs neither"
         ) from error
-
-
-def _rgbd(open3d: Any, rgb: Image, depth: Depth, config: CloudConfig) -> Any:
-    image, depth_m = open3d.geometry.Image(np.ascontiguousarray(rgb)), open3d.geometry.Image(depth.depth_m)
-    return open3d.geometry.RGBDImage.create_from_color_and_depth(
-        image, depth_m, depth_scale=1.0, depth_trunc=config.farthest_m, convert_rgb_to_intensity=False
-    )
 
 
 def _taken(view: RenderedView, config: CloudConfig) -> Depth:
