@@ -133,18 +133,22 @@ def write_mesh(
         ("tsdf", "weight", "color"), (float32,) * 3, (1, 1, 3), config.voxel_m, BLOCK_VOXELS, FIRST_BLOCKS
     )
     K, limits = matrix(camera.K), (1.0, config.farthest_m, TRUNCATION_VOXELS)  # a depth unit, metres
+    fused = 0
     for pose in T_world_cam:
         view = render(pose, camera)
-        depth = image(_taken(view, config).depth_m)
-        rgb, extrinsic = image(np.clip(view.rgb, 0, 1).astype(np.float32)), matrix(invert(pose))
-        blocks = grid.compute_unique_block_coordinates(depth, K, extrinsic, *limits)
-        grid.integrate(blocks, depth, rgb, K, K, extrinsic, *limits)
+        taken = _taken(view, config)
+        if taken.valid.any():  # open3d refuses a view without a value
+            depth, rgb = image(taken.depth_m), image(np.clip(view.rgb, 0, 1).astype(np.float32))
+            extrinsic = matrix(invert(pose))
+            blocks = grid.compute_unique_block_coordinates(depth, K, extrinsic, *limits)
+            grid.integrate(blocks, depth, rgb, K, K, extrinsic, *limits)
+            fused += 1
         on_view()
-    mesh = grid.extract_triangle_mesh(weight_threshold=0.5).to_legacy()  # one view is enough
-    if not len(mesh.triangles):
+    if not fused:
         raise DataError(
-            f"{path}: no surface in {len(T_world_cam)} views within {config.farthest_m:g} m: no mesh to write"
+            f"{path}: no surface in {len(T_world_cam)} views within {config.farthest_m:g} m: nothing to write"
         )
+    mesh = grid.extract_triangle_mesh(weight_threshold=0.5).to_legacy()  # one view is enough
     mesh.compute_vertex_normals()
     path.parent.mkdir(parents=True, exist_ok=True)
     if not open3d.io.write_triangle_mesh(str(path), mesh):
