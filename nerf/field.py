@@ -89,6 +89,10 @@ class Field:
         """Return the trainable tensors by name; a backward pass sets (does not add to) their `.grad`."""
         return {"grid": self.grid.weights, **self.network.layers._asdict()}
 
+    def copies(self) -> dict[str, Tensor]:
+        """Return the rounded copies that an optimiser may keep up to date as it goes, by the parameter's name."""
+        return {"grid": self.grid.copy}
+
     def state(self) -> dict[str, Tensor]:
         """Return what `load` takes: the parameters, not copied."""
         return self.parameters()

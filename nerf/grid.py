@@ -81,7 +81,7 @@ class Grid:
         self.weights = self.weights.to(device)
         self.weights.grad = torch.zeros_like(self.weights)
         self._kernels = kernels_for(device)
-        self._copy = torch.empty_like(self.weights, dtype=self._kernels.STORAGE)
+        self.copy = torch.empty_like(self.weights, dtype=self._kernels.STORAGE)
         self._copied = -1
 
     def encode(self, u: Tensor, table: Tensor, footprint: Tensor | None = None) -> Tensor:
@@ -90,10 +90,10 @@ class Grid:
         `footprint` (m,): the standard deviation of the place, in units of u. A level's features shrink by
         erf(1 / sqrt(8 (footprint * resolution)^2)) (Barron et al. 2023, "Zip-NeRF", section 3.2).
         """
-        if self._copied != self.weights._version:  # an optimiser's step counts as a new version
-            self._copy.copy_(self.weights)
+        if self._copied != self.weights._version:
+            self.copy.copy_(self.weights)
             self._copied = self.weights._version
-        return self._kernels.encode(u, table, footprint, self._copy, self.config)
+        return self._kernels.encode(u, table, footprint, self.copy, self.config)
 
     def backward(self, u: Tensor, table: Tensor, footprint: Tensor | None, d_features: Tensor) -> None:
         """Set the weights' gradient from the features' gradient (levels, m, 2)."""

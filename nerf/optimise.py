@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from nerf.kernels import kernels_for
+
 
 @dataclass(frozen=True, slots=True)
 class OptimiserConfig:
@@ -24,52 +26,57 @@ class OptimiserConfig:
 
 
 class Optimiser:
-    """Adam (Kingma and Ba 2015) on named parameters, their gradients in `.grad`: torch's fused step, one pass."""
+    """Adam (Kingma and Ba 2015) on named parameters, their gradients in `.grad`."""
 
-    def __init__(self, config: OptimiserConfig, parameters: dict[str, Tensor]) -> None:
-        """Take parameters by name; the rate of "a.b" is that of `grid` if b is "grid", of `sky` if a is "sky"."""
+    def __init__(
+        self, config: OptimiserConfig, parameters: dict[str, Tensor], copies: dict[str, Tensor] | None = None
+    ) -> None:
+        """Take parameters by name, and rounded copies that a step keeps up to date.
+
+        The rate of "sky.b" is the sky's, that of "a.grid" the grids', else the networks'.
+        """
         self.config = config
         self.steps = 0
         self._parameters = parameters
-        self._adam = torch.optim.Adam(
-            [{"params": [tensor], "lr": 0.0, "rate": self._rate(name)} for name, tensor in parameters.items()],
-            betas=(0.9, 0.99),
-            eps=1e-15,
-            fused=True,
-        )
+        self._copies = copies or {}
+        self._mean = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
+        self._square = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
 
     def step(self, progress: float) -> None:
         """Move every parameter along its gradient; `progress` of the fit in [0, 1]."""
-        warm = min(1.0, (self.steps + 1) / max(self.config.warm_up, 1))
-        left = self.config.final + (1 - self.config.final) * 0.5 * (
-            1 + math.cos(math.pi * min(max(progress, 0.0), 1.0))
-        )
-        for group in self._adam.param_groups:
-            group["lr"] = group["rate"] * warm * left
-        self._adam.step()
-        torch.autograd.graph.increment_version(list(self._parameters.values()))  # the fused step does not; copies ask
         self.steps += 1
+        rate = self.rate(progress)
+        for name, tensor in self._parameters.items():
+            copy = self._copies.get(name)
+            moments = self._mean[name], self._square[name]
+            kernels_for(tensor.device).adam(tensor, *moments, copy, rate * self._top(name), self.steps)
+            if copy is None:
+                torch.autograd.graph.increment_version(tensor)  # kernels write unseen: tell those who keep copies
+
+    def rate(self, progress: float) -> float:
+        """Return the share of the top rates that the next step takes."""
+        warm = min(1.0, self.steps / max(self.config.warm_up, 1))
+        wave = 0.5 * (1 + math.cos(math.pi * min(max(progress, 0.0), 1.0)))
+        return warm * (self.config.final + (1 - self.config.final) * wave)
 
     def state(self) -> dict[str, Tensor]:
-        """Return the running means by name ("a.b.mean", "a.b.square"), and "steps"."""
-        state = {"steps": torch.tensor(self.steps)}
-        for name, tensor in self._parameters.items():
-            if found := self._adam.state.get(tensor):
-                state[f"{name}.mean"], state[f"{name}.square"] = found["exp_avg"], found["exp_avg_sq"]
-        return state
+        """Return "steps" and the running means by name ("a.b.mean", "a.b.square"), not copied."""
+        means = {f"{name}.mean": tensor for name, tensor in self._mean.items()}
+        squares = {f"{name}.square": tensor for name, tensor in self._square.items()}
+        return {"steps": torch.tensor(self.steps), **means, **squares}
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state, bit for bit."""
+        for name, tensor in self.state().items():
+            if name not in state or state[name].shape != tensor.shape:
+                found = tuple(state[name].shape) if name in state else "none"
+                raise ValueError(f"optimiser: expected {name} of shape {tuple(tensor.shape)}, found {found}")
         self.steps = int(state["steps"])
-        for name, tensor in self._parameters.items():
-            if self.steps:
-                self._adam.state[tensor] = {
-                    "step": torch.tensor(float(self.steps), device=tensor.device),
-                    "exp_avg": state[f"{name}.mean"].to(tensor.device, copy=True),
-                    "exp_avg_sq": state[f"{name}.square"].to(tensor.device, copy=True),
-                }
+        for name in self._parameters:
+            self._mean[name].copy_(state[f"{name}.mean"])
+            self._square[name].copy_(state[f"{name}.square"])
 
-    def _rate(self, name: str) -> float:
+    def _top(self, name: str) -> float:
         if name.startswith("sky."):
             return self.config.sky
         return self.config.grid if name.endswith("grid") else self.config.network

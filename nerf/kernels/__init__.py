@@ -64,6 +64,9 @@ class Kernels(Protocol):
     ) -> tuple[Tensor, "Layers"]:
         """Return the gradients of the features (levels, m, 2) and of the layers."""
 
+    def adam(self, weights: Tensor, mean: Tensor, square: Tensor, copy: Tensor | None, rate: float, step: int) -> None:
+        """Do the step-th (from 1) step of Adam with the gradient in `.grad`; round the weights to `copy`."""
+
 
 def kernels_for(device: torch.device) -> Kernels:
     """Return the fastest functions for a device."""

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from nerf.kernels import plain
+from nerf.twin.adam import BETA_MEAN, BETA_SQUARE, EPSILON
 from nerf.twin.field import Layers
 
 if TYPE_CHECKING:
@@ -69,6 +70,17 @@ def shade_backward(
     if not _tiled():
         return plain.shade_backward(features.float(), harmonics, ray, layers, initial, d_sigma, d_rgb)
     return _backward(features, harmonics, ray, layers, initial, d_sigma, d_rgb)
+
+
+def adam(weights: Tensor, mean: Tensor, square: Tensor, copy: Tensor | None, rate: float, step: int) -> None:
+    """Do the step-th step of Adam."""
+    from nerf.kernels import adam as kernel
+
+    assert weights.grad is not None
+    arrays = [tensor.view(-1).numpy() for tensor in (weights, weights.grad, mean, square)]
+    halves = _NONE.view(np.int16) if copy is None else copy.view(-1).view(torch.int16).numpy()
+    moving = rate / (1 - BETA_MEAN**step), 1 / (1 - BETA_SQUARE**step)
+    kernel.adam(*arrays, halves, tuple(np.float32(x) for x in (BETA_MEAN, BETA_SQUARE, *moving, EPSILON)))
 
 
 @functools.cache

@@ -126,6 +126,19 @@ def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, types.int64, value), gen
 
 
+@intrinsic
+def store_halves(typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """Write the low 16 bits of 16 ints to a flat array of int16, from an index on."""
+
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        halves = builder.trunc(args[2], ir.VectorType(ir.IntType(16), WIDTH))
+        place = _place(context, builder, sig.args[0], args[0], args[1], halves.type)
+        builder.store(halves, place, align=2)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, Ints), gen
+
+
 def _splatter(kind: Any, scalar: Any, vector: Any, doc: str) -> Any:
     def splat(typing: Any, value: Any) -> Any:
         def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
@@ -168,6 +181,16 @@ def fma(typing: Any, a: Any, b: Any, c: Any) -> Any:
         return _call(builder, "llvm.fma.v16f32", _FLOATS, list(args))
 
     return Floats(Floats, Floats, Floats), gen
+
+
+@intrinsic
+def root(typing: Any, a: Any) -> Any:
+    """Return the square roots of floats."""
+
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return _call(builder, "llvm.sqrt.v16f32", _FLOATS, list(args))
+
+    return Floats(Floats), gen
 
 
 def _picker(compare: str, doc: str) -> Any:

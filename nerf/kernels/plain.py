@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
+from nerf.twin import adam as twin_adam
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
 from nerf.twin.field import Layers
@@ -61,3 +62,10 @@ def shade_backward(
         outputs = twin_field.shade(features, harmonics, ray, leaves, initial)
         gradients = torch.autograd.grad(outputs, [features, *leaves], [d_sigma, d_rgb])
     return gradients[0], Layers(*gradients[1:])
+
+
+def adam(weights: Tensor, mean: Tensor, square: Tensor, copy: Tensor | None, rate: float, step: int) -> None:
+    """Do the step-th step of Adam."""
+    twin_adam.adam(weights, mean, square, rate, step)
+    if copy is not None:
+        copy.copy_(weights)
