@@ -38,14 +38,22 @@ class Line:
 
 
 def plot(
-    lines: Sequence[Line], x_label: str, y_label: str, title: str = "", size: tuple[int, int] = (400, 640)
+    lines: Sequence[Line],
+    x_label: str,
+    y_label: str,
+    title: str = "",
+    size: tuple[int, int] = (400, 640),
+    from_zero: bool = True,
 ) -> Image:
-    """Draw curves over common axes; the y axis starts at 0 where nothing is negative. size is (height, width)."""
+    """Draw curves over common axes; size is (height, width).
+
+    The y axis starts at 0 where nothing is negative, or else (decibels) near the smallest value.
+    """
     height, width = size
     canvas = np.full((height, width, 3), PAPER, np.uint8)
     x_ticks = ticks(*_span([line.x for line in lines]))
     low, high = _span([line.y for line in lines])
-    y_ticks = ticks(min(0.0, low), high)
+    y_ticks = ticks(min(0.0, low) if from_zero else low, high)
     to_x = _Axis(x_ticks, LEFT_PX, width - RIGHT_PX)
     to_y = _Axis(y_ticks, height - BOTTOM_PX, TOP_PX)
     for value in x_ticks:

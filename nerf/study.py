@@ -1,0 +1,185 @@
+"""A study: a grid of runs over one drive.
+
+    <study>/<run>/...         a run each: nerf.run, nerf.report
+           /table.md ...      nerf.study_table
+
+A run whose metrics.json holds the config that is asked for is done; the others are made. So a killed study goes on,
+and a study that asks for more makes what is new.
+"""
+
+import itertools
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from eval.protocol import ScoreError
+from nerf.report import Report
+from priors.errors import DataError
+from priors.filters import Filters
+
+NONE = "none"
+"""The prior of a run by colours alone."""
+SHARES = ("clip", "confidence", "keep", "density")
+"""The choices that are numbers."""
+
+
+@dataclass(frozen=True, order=True)
+class RunSpec:
+    """One run of a study."""
+
+    field: str
+    """Family of the field: ngp, mip360 or nerfpp."""
+    views: str
+    """dense, sparse or a number of training views."""
+    prior: str
+    """A prior's folder, or none."""
+    loss: str | None = None
+    """Depth loss; None without a prior, as are all that follow."""
+    clip: float | None = None
+    """Farthest depth of the prior that is used, metres."""
+    confidence: float | None = None
+    """Least confidence of a value that is used."""
+    keep: float | None = None
+    """Share of the values that is used, the most confident ones."""
+    truth_mask: bool = False
+    """Only pixels with a true depth are used."""
+    density: float | None = None
+    """Share of the values that is used, drawn at random."""
+    seed: int = 0
+    """Of the run."""
+
+    @property
+    def prior_name(self) -> str:
+        """The prior's folder name, or none."""
+        return Path(self.prior).name
+
+    @property
+    def name(self) -> str:
+        """Folder of the run: what differs from the defaults, in a fixed order."""
+        parts = [self.field, self.views, self.prior_name, self.loss or ""]
+        parts += [f"{key}{getattr(self, key):.10g}" for key in SHARES if getattr(self, key) is not None]
+        return "-".join([part for part in parts if part] + ["masked"] * self.truth_mask + [f"seed{self.seed}"])
+
+    def filters(self) -> Filters:
+        """Return the filters that the prior passes."""
+        return Filters(
+            truth_mask=self.truth_mask,
+            clip=self.clip,
+            confidence=self.confidence,
+            keep=self.keep,
+            density=self.density,
+        )
+
+
+@dataclass(frozen=True)
+class Study:
+    """Every combination of what is listed; a run without a prior has neither loss nor filter and is made once."""
+
+    priors: tuple[str, ...] = (NONE,)
+    """Folders of priors in a cache, and `none`."""
+    losses: tuple[str, ...] = ("l1",)
+    """Depth losses."""
+    views: tuple[str, ...] = ("dense", "sparse")
+    """Training views: dense, sparse or a number."""
+    fields: tuple[str, ...] = ("ngp",)
+    """Families of fields."""
+    clips: tuple[float | None, ...] = (None,)
+    """Farthest depths that are used, metres: 40 and 80 in the paper."""
+    confidences: tuple[float | None, ...] = (None,)
+    """Least confidences of what is used."""
+    keeps: tuple[float | None, ...] = (None,)
+    """Shares that are used, the most confident values."""
+    truth_masks: tuple[bool, ...] = (False,)
+    """Whether only pixels with a true depth are used."""
+    densities: tuple[float | None, ...] = (None,)
+    """Shares that are used, drawn at random: the density curve."""
+    seeds: tuple[int, ...] = (0,)
+    """Every run is made once a seed; the table holds the means."""
+
+    def runs(self) -> list[RunSpec]:
+        """List the runs, each once, in the order of the table.
+
+        Raises:
+            DataError: nothing is listed for some choice, or two priors have one name.
+        """
+        for each in fields(self):
+            if not getattr(self, each.name):
+                raise DataError(f"study: no {each.name} given: name one or more")
+        names = [Path(prior).name for prior in dict.fromkeys(self.priors)]
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise DataError(f"study: two priors are named {min(twice)}: a study is of one drive")
+        choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
+        grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
+        made = (RunSpec(*choice) for choice in grid)
+        return list(dict.fromkeys(_without_prior(spec) if spec.prior == NONE else spec for spec in made))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of a run."""
+
+    spec: RunSpec
+    report: Report | None
+    """None where the run failed."""
+    error: str = ""
+    """Why it failed, one line."""
+    fresh: bool = True
+    """Whether it was made now; False: it was there already."""
+
+
+Runner = Callable[[RunSpec, Path, dict[str, Any]], Report]
+"""Fits and reports one run in a folder; the report's info must hold the dict as its `config`."""
+
+
+def run_study(
+    study: Study,
+    folder: Path,
+    run: Runner,
+    settings: Mapping[str, Any],
+    on_run: Callable[[Outcome], None] = lambda _: None,
+) -> list[Outcome]:
+    """Make the runs that are not done, one after the other; a run that fails is told and the others go on.
+
+    Args:
+        study: the grid.
+        folder: the study's folder.
+        run: makes one run.
+        settings: everything else that decides a run's figures (drive, frames, budget); anything JSON holds.
+        on_run: called after each run.
+    """
+    outcomes = []
+    for spec in study.runs():
+        spec_record = asdict(spec) | {"prior": spec.prior_name}  # a cache may move: the name holds the prior's key
+        config = json.loads(json.dumps({"spec": spec_record, **settings}, allow_nan=False))
+        done = _done(folder / spec.name, config)
+        outcome = Outcome(spec, done, fresh=False) if done else _made(spec, folder / spec.name, config, run)
+        outcomes.append(outcome)
+        on_run(outcome)
+    return outcomes
+
+
+def _without_prior(spec: RunSpec) -> RunSpec:
+    return RunSpec(spec.field, spec.views, NONE, seed=spec.seed)
+
+
+def _done(folder: Path, config: dict[str, Any]) -> Report | None:
+    """Return the report of a run that was made with this config; None where there is none."""
+    try:
+        report = Report.load(folder / "metrics.json")
+    except DataError:
+        return None
+    return report if report.info.get("config") == config else None
+
+
+def _made(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:
+    """Make a run; what a user can mend is told, anything else is raised."""
+    try:
+        report = run(spec, folder, config)
+    except (DataError, ScoreError) as error:
+        return Outcome(spec, None, str(error))
+    if report.info.get("config") != config:
+        raise ValueError(f"{spec.name}: the runner's report must hold the config, or the run is never found done")
+    return Outcome(spec, report)

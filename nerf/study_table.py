@@ -1,0 +1,181 @@
+"""The table of a study, in the shape of the paper's: one row a choice, one figure a column; and its density curve.
+
+<study>/table.md .tex .csv .txt
+       /density.png       PSNR against the share of the prior's values kept, where that varies
+"""
+
+import csv
+import io
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, fields, replace
+from pathlib import Path
+
+import numpy as np
+
+from eval import sheet
+from eval.protocol import ScoreError
+from eval.result import refuse_to_mix
+from eval.sheet import Column, Sheet
+from nerf.report import Report
+from nerf.study import NONE, SHARES, Outcome, RunSpec
+from priors import cache, codecs
+from priors.errors import DataError
+from priors.labels import labels
+from priors.plot import Line, plot
+
+COLUMNS = {
+    "psnr": Column("PSNR", "dB", higher=True, digits=2),
+    "ssim_uniform7": Column("SSIM-uniform7", higher=True),
+    "ssim_gauss11": Column("SSIM-gauss11", higher=True),
+    "lpips_squeeze": Column("LPIPS-squeeze"),
+    "lpips_vgg": Column("LPIPS-vgg"),
+    "rmse": Column("RMSE", "m"),
+    "abs_rel": Column("AbsRel", digits=4),
+}
+LEAD = ("field", "views", "prior")
+"""What every table names first; rows of one field and one choice of views are ranked together."""
+_HEADS = {"truth_mask": "pixels"}
+
+
+def lay_out(outcomes: Sequence[Outcome]) -> Sheet:
+    """Lay out a study's table: a row a choice, means over seeds, ranked among one field's same views.
+
+    Raises:
+        ScoreError: no run has figures, or they were scored by different protocols or truths.
+    """
+    made = [(outcome.spec, outcome.report) for outcome in outcomes if outcome.report is not None]
+    if not made:
+        raise ScoreError(f"no run has figures{''.join(f'; {o.spec.name}: {o.error}' for o in outcomes[:1])}")
+    refuse_to_mix([report.depth() for _, report in made])
+    groups: dict[RunSpec, list[Report]] = {}
+    for spec, report in made:
+        groups.setdefault(replace(spec, seed=0), []).append(report)
+    labels = _labels(list(groups))
+    guided = [spec for spec in groups if spec.prior != NONE]
+    choices = {key: {getattr(spec, key) for spec in guided} for key in ("loss", *SHARES, "truth_mask")}
+    varied = [key for key, values in choices.items() if len(values) > 1]
+    fixed = [f"{_HEADS.get(key, key)} {_write(guided[0], key)}" for key, values in choices.items()
+             if key not in varied and values - {None, False}]  # fmt: skip
+    rows = [
+        ((spec.field, spec.views, labels[spec.prior], *(_write(spec, key) for key in varied)), _mean(reports))
+        for spec, reports in groups.items()
+    ]
+    present = {key: column for key, column in COLUMNS.items() if any(key in figures for _, figures in rows)}
+    first = made[0][1]
+    caption = "; ".join([first.protocol.describe(), f"{len(first.frames)} held-out views", *fixed])
+    heads = (*LEAD, *(_HEADS.get(key, key) for key in varied))
+    return sheet.lay(heads, present, rows, caption, _notes(outcomes, groups), group=2)
+
+
+def commands(outcomes: Sequence[Outcome], command: str) -> list[str]:
+    """List what was typed for a study, and what makes each of its runs alone."""
+    reports = [outcome.report for outcome in outcomes if outcome.report is not None]
+    return [command, *dict.fromkeys(str(made.info["command"]) for made in reports if "command" in made.info)]
+
+
+def save(outcomes: Sequence[Outcome], folder: Path, command: str) -> list[Path]:
+    """Write the table in four formats, each with its commands, and the density figure; returns the files."""
+    laid, typed = lay_out(outcomes), commands(outcomes, command)
+    texts = {
+        ".md": sheet.markdown(laid) + "\n```bash\n" + "\n".join(typed) + "\n```\n",
+        ".tex": "".join(f"% {line}\n" for line in typed) + sheet.latex(laid),
+        ".txt": sheet.plain(laid) + "".join(f"$ {line}\n" for line in typed),
+        ".csv": as_csv(outcomes),
+    }
+    paths = [folder / f"table{suffix}" for suffix in texts]
+    for path, text in zip(paths, texts.values(), strict=True):
+        codecs.write_bytes(path, text.encode())
+    lines = density_lines(outcomes)
+    if lines:
+        paths.append(folder / "density.png")
+        picture = plot(lines, "share of the prior's values kept, %", "PSNR, dB", "study", from_zero=False)
+        codecs.write_image(paths[-1], picture)
+    return paths
+
+
+def as_csv(outcomes: Sequence[Outcome]) -> str:
+    """Write every figure of every run in full: for spreadsheets and scripts."""
+    keys = list(dict.fromkeys(key for o in outcomes if o.report is not None for key in o.report.metrics()))
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    writer.writerow([*(each.name for each in fields(RunSpec)), "protocol", "truth", "views_scored", *keys])
+    for outcome in outcomes:
+        if outcome.report is not None:
+            report, figures = outcome.report, outcome.report.metrics()
+            values = ["" if math.isnan(value := figures.get(key, math.nan)) else repr(value) for key in keys]
+            what = ["" if value is None else value for value in asdict(outcome.spec).values()]
+            writer.writerow([*what, report.protocol.name, report.protocol.truth, len(report.frames), *values])
+    return out.getvalue()
+
+
+def density_lines(outcomes: Sequence[Outcome]) -> list[Line]:
+    """Make the curves of PSNR against density, one a choice of all else; runs without a prior are a dashed level.
+
+    Empty where no choice has two densities.
+    """
+    groups: dict[RunSpec, dict[float, list[float]]] = {}
+    for outcome in outcomes:
+        if outcome.report is not None:
+            spec = replace(outcome.spec, density=None, seed=0)
+            share = 100.0 if outcome.spec.density is None else 100 * outcome.spec.density
+            groups.setdefault(spec, {}).setdefault(share, []).append(outcome.report.metrics()["psnr"])
+    curves = {spec: points for spec, points in groups.items() if spec.prior != NONE and len(points) > 1}
+    if not curves:
+        return []
+    ends = [share for points in curves.values() for share in points]
+    levels = {spec: dict.fromkeys((min(ends), max(ends)), points[100.0]) for spec, points in groups.items()
+              if spec.prior == NONE}  # fmt: skip
+    labels = _labels(list(groups))
+    lines = []
+    for spec, points in {**curves, **levels}.items():
+        label = " ".join([spec.field, spec.views, labels[spec.prior], spec.loss or ""]).strip()
+        shares = sorted(points)
+        means = np.array([np.mean(points[share]) for share in shares])
+        lines.append(Line(label, np.array(shares), means, dashed=spec.prior == NONE))
+    return lines
+
+
+def _labels(specs: Sequence[RunSpec]) -> dict[str, str]:
+    """Name each prior shortly, each differently; by its folder where that cannot be read any more."""
+    priors = list(dict.fromkeys(spec.prior for spec in specs if spec.prior != NONE))
+    try:
+        names = labels([cache.load(Path(prior)) for prior in priors])
+    except DataError:
+        names = [Path(prior).name for prior in priors]
+    return {NONE: NONE, **dict(zip(priors, names, strict=True))}
+
+
+def _write(spec: RunSpec, key: str) -> str:
+    """Write a choice as the table has it."""
+    value = getattr(spec, key)
+    if spec.prior == NONE:
+        return "-"
+    if key == "truth_mask":
+        return "with truth" if value else "all"
+    if key == "loss":
+        return str(value)
+    if value is None:
+        return "all"
+    return f"{value:g} m" if key == "clip" else f"{value:g}"
+
+
+def _mean(reports: Sequence[Report]) -> dict[str, float]:
+    """Average the figures that all reports of a row have; NaN counts as none."""
+    rows = [report.metrics() for report in reports]
+    return {key: float(np.mean([row[key] for row in rows])) for key in rows[0] if all(key in row for row in rows)}
+
+
+def _notes(outcomes: Sequence[Outcome], groups: Mapping[RunSpec, Sequence[Report]]) -> list[str]:
+    """Say what a reader must know: seeds and their spread, what is absent, what failed, what does not compare."""
+    found = []
+    counts = {len(reports) for reports in groups.values()}
+    if max(counts) > 1:
+        spread = max(float(np.std([made.metrics()["psnr"] for made in reports])) for reports in groups.values())
+        several = f"{min(counts)} to {max(counts)}" if len(counts) > 1 else f"{max(counts)}"
+        found.append(f"means over {several} seeds; the largest standard deviation of a row's PSNR is {spread:.2f} dB")
+    reports = [report for group in groups.values() for report in group]
+    found += dict.fromkeys(remark for report in reports for remark in report.remarks)
+    if len({tuple(frame.frame for frame in report.frames) for report in reports}) > 1:
+        found.append("the rows were not scored on the same held-out views")
+    return found + [f"{o.spec.name} failed: {o.error}" for o in outcomes if o.report is None]
