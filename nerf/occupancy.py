@@ -2,9 +2,11 @@
 
 Carving, before the first step, from what the training views know:
 
-1. Cells within `reach` of a prior value along its ray are kept, and so are their neighbours.
+1. A view votes for the cells within `reach` of its prior values, along their rays, and against those that it looks
+   through. Cells with at least AGREED of the votes for them are kept, and so are their neighbours: one view's outlier
+   does not fill the air that all others look through.
 2. A ray without a value and without any value nearby in its image (sky, or above the scanner) says nothing: cells it
-   passes stay open, unless a ray with a value looked through them.
+   passes stay open, unless a view voted on them.
 3. Everything else is empty. A hole between values (LiDAR lines) opens nothing: neighbours and other views fill it.
 
 So a dense prior leaves a shell around the surfaces; a LiDAR cuts away nothing of what is above it; and without any
@@ -27,9 +29,12 @@ from priors.geometry import rays as pixel_rays
 
 Density = Callable[[Tensor, Tensor], Tensor]
 Bytes = npt.NDArray[np.uint8]
+Mask = npt.NDArray[np.bool_]
 
-RAYS_PER_RADIAN = 256
-"""How densely views are traced; a cell of 128 in the ball is wider than that."""
+AGREED = 0.1
+"""Share of the votes for a cell above which it is kept; a tenth: thin things are mostly looked past."""
+RAYS_PER_RADIAN = 96
+"""How densely views are traced; a cell of the ball with 128 of them an axis is about three times as wide."""
 THIN = 0.01
 """Optical thickness of a cell below which it is taken to be empty."""
 DECAY = 0.9
@@ -65,17 +70,18 @@ class Occupancy:
     ) -> "Occupancy":
         """Carve a grid from the training views' prior; `reach` is relative to the depth."""
         self = cls(space, resolution, device)
-        band, unknown, free = (np.zeros(self.kept.numel(), np.uint8) for _ in range(3))
+        count = self.kept.numel()
+        votes_for, votes_against = np.zeros(count, np.uint16), np.zeros(count, np.uint16)
+        blindly = np.zeros(count, np.uint8)
         for position in scene.train:
             seen, blind = _parted(scene, position)
-            self._trace(scene, position, seen, 1 - reach, 1 + reach, band)
-            self._trace(scene, position, blind, 0, np.inf, unknown)
-        if unknown.any():
-            for position in scene.train:
-                self._trace(scene, position, _parted(scene, position)[0], 0, 1 - reach, free)
-        around = _dilated(band, resolution)
-        unknown = _dilated(unknown & ~(free | band) & 1, resolution) & ~around & 1
-        self.kept.copy_(torch.from_numpy((around | unknown).reshape(self.kept.shape)))
+            votes_for += self._trace(scene, position, seen, 1 - reach, 1 + reach)
+            votes_against += self._trace(scene, position, seen, 0, 1 - reach)
+            blindly |= self._trace(scene, position, blind, 0, np.inf)
+        votes = votes_for + votes_against
+        band = _dilated((votes_for >= np.float32(AGREED) * votes) & (votes_for > 0), resolution)
+        unknown = _dilated((blindly > 0) & (votes == 0), resolution) & ~band
+        self.kept.copy_(torch.from_numpy((band | unknown).reshape(self.kept.shape)))
         self.open.copy_(torch.from_numpy(unknown.reshape(self.kept.shape)))
         return self
 
@@ -127,11 +133,13 @@ class Occupancy:
                 raise ValueError(f"occupancy {name}: expected {tuple(own.shape)}, found {tuple(state[name].shape)}")
             own.copy_(state[name])
 
-    def _trace(
-        self, scene: Scene, position: int, pixels: npt.NDArray[np.int64], begin: float, end: float, grid: Bytes
-    ) -> None:
-        """Set the cells along pixels' rays, from `begin` to `end` times the depth (the space's ends where that is 0)."""
+    def _trace(self, scene: Scene, position: int, pixels: npt.NDArray[np.int64], begin: float, end: float) -> Bytes:
+        """Mark (flat, 1) the cells along a view's pixels from `begin` to `end` times the depth; near to far where 0."""
         from nerf.kernels.march import trace
+
+        grid = np.zeros(self.kept.numel(), np.uint8)
+        if not len(pixels):
+            return grid
 
         pose = scene.T_world_cam[position]
         directions = pixel_rays(scene.camera).reshape(-1, 3)[pixels] @ pose[:3, :3].T
@@ -146,6 +154,7 @@ class Occupancy:
         origins = origin.expand_as(directions).contiguous()
         code, resolution = self.space.code, self.resolution
         trace(origins.numpy(), directions.numpy(), first_m, last_m, code, resolution, grid)
+        return grid
 
     def _inside(self, cell: Tensor, generator: np.random.Generator) -> tuple[Tensor, Tensor]:
         """Return random places u (m, 3) in cells (m,) and their tables."""
@@ -182,8 +191,8 @@ def _parted(scene: Scene, position: int) -> tuple[npt.NDArray[np.int64], npt.NDA
     return seen[:: max(1, len(seen) * stride**2 // valid.size)], np.flatnonzero(blind)
 
 
-def _dilated(grid: Bytes, resolution: int) -> Bytes:
-    """Set the 26 neighbours of every set cell as well."""
+def _dilated(grid: Mask, resolution: int) -> Mask:
+    """Set the 26 neighbours of every set cell as well, within each table."""
     from scipy.ndimage import maximum_filter
 
     tables = grid.reshape(-1, resolution, resolution, resolution)

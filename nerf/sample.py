@@ -47,9 +47,9 @@ def guided(
 ) -> Samples:
     """Sample rays near the prior's depth.
 
-    A ray with a depth D gets count / 2 intervals in D (1 - reach) to D (1 + reach), even in depth, and count / 2 in front
-    of them, even in s; nothing behind. Rays without, and a random share `unguided` of the others, march `free` intervals.
-    What is in empty cells is left out.
+    A ray with a depth D gets count / 2 intervals in D (1 - reach) to D (1 + reach), even in depth, and count / 2 in
+    front of them, even in s; nothing behind. Rays without, and a random share `unguided` of the others, march `free`
+    intervals. What is in empty cells is left out.
     """
     course = _course(rays, space, free, key)
     if rays.depth_m is None:
@@ -94,8 +94,15 @@ def resample(
     shift = course.shift if key is not None else torch.full_like(course.shift, 0.5)
     targets = (step[None] + shift[:, None]) / (count + 1)
     used = slice(0, samples.used)
-    ends = twin.resample(samples.offsets, samples.s0[used], samples.s1[used], weights[used], targets, margin, anneal)
-    return _pick(replace(course, ends=torch.stack(ends), slots=count), occupancy)
+    histogram = samples.offsets, samples.s0[used], samples.s1[used], weights[used]
+    if weights.device.type == "cpu":
+        from nerf.kernels.resample import invert
+
+        ends = np.empty((2, len(rays), count), np.float32)
+        invert(*(x.numpy() for x in histogram), targets.numpy(), margin, anneal, ends)
+        return _pick(replace(course, ends=torch.from_numpy(ends), slots=count), occupancy)
+    ends_s = torch.stack(twin.resample(*histogram, targets, margin, anneal))
+    return _pick(replace(course, ends=ends_s, slots=count), occupancy)
 
 
 def _course(rays: Rays, space: Space, count: int, key: Key | None) -> Course:

@@ -132,13 +132,15 @@ def _spacing(t: Tensor, knee: Tensor, low: Tensor, span: Tensor) -> Tensor:
 def resample(
     offsets: Tensor, s0: Tensor, s1: Tensor, weights: Tensor, targets: Tensor, margin: float, anneal: float
 ) -> tuple[Tensor, Tensor]:
-    """Return the ends (r, n) of n intervals of even mass under each ray's histogram.
+    """Return the ends (r, n), float32, of n intervals of even mass under each ray's histogram; computed in float64.
 
-    The histogram's bins [s0, s1] (packed, ascending, gaps allowed) are widened by `margin`, where bins overlap the larger
-    density counts, and the masses between their edges are raised to `anneal` (MipNeRF-360, appendix C). `targets`
-    (r, n + 1) are the ends' places in the cumulated mass. No interval reaches across a gap: it stays within the connected
-    bins that hold its middle. A ray without mass is sampled evenly in its bins; one without bins gets empty intervals.
+    The histogram's bins [s0, s1] (packed, ascending, gaps allowed) are widened by `margin`, where bins overlap the
+    larger density counts, and the masses between their edges are raised to `anneal` (MipNeRF-360, appendix C).
+    `targets` (r, n + 1) are the ends' places in the cumulated mass. No interval reaches across a gap: it stays within
+    the connected bins that hold its middle. A ray without mass is sampled evenly in its bins; one without bins gets
+    empty intervals.
     """
+    s0, s1, weights, targets = s0.double(), s1.double(), weights.double(), targets.double()
     edges, mass, gap = _dilated(offsets, s0, s1, weights, margin)
     width = edges.diff(dim=1) * ~gap
     mass = torch.where(mass > 0, torch.clamp(mass, min=1e-30) ** anneal, 0.0)
@@ -153,7 +155,7 @@ def resample(
     begin = torch.maximum(ends[:, :-1], edges.gather(1, first.gather(1, middle)))
     end = torch.minimum(ends[:, 1:], edges.gather(1, last.gather(1, middle)))
     some = (offsets[1:] > offsets[:-1])[:, None]
-    return begin * some, torch.maximum(begin, end) * some
+    return (begin * some).float(), (torch.maximum(begin, end) * some).float()
 
 
 def _dilated(offsets: Tensor, s0: Tensor, s1: Tensor, weights: Tensor, margin: float) -> tuple[Tensor, Tensor, Tensor]:
@@ -165,7 +167,8 @@ def _dilated(offsets: Tensor, s0: Tensor, s1: Tensor, weights: Tensor, margin: f
     index = torch.clamp(offsets[:-1, None] + step, max=max(len(s0) - 1, 0))
     begin, end = torch.where(real, s0[index], 1.0), torch.where(real, s1[index], 1.0)
     density = torch.where(real & (end > begin), weights[index] / torch.clamp(end - begin, min=1e-30), 0.0)
-    low, high = torch.clamp(begin - margin, min=0), torch.clamp(end + margin, max=1)
+    low = torch.where(real, torch.clamp(begin - margin, min=0), 1.0)
+    high = torch.clamp(end + margin, max=1)
     edges = torch.cat([low, high], 1).sort(dim=1)[0]
     middle = (edges[:, 1:] + edges[:, :-1]) * 0.5
     covers = (middle[..., None] >= low[:, None]) & (middle[..., None] <= high[:, None]) & real[:, None]

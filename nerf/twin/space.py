@@ -15,7 +15,8 @@ _LARGEST = 1e15
 def length(place: Tensor) -> Tensor:
     """Return |place| (n,) of (n, 3), each no larger than 1e18."""
     x, y, z = place.unbind(-1)
-    return torch.sqrt(x * x + y * y + z * z)
+    # PyTorch's float32 root on the CPU is not always the nearest one; a rounded float64 one is.
+    return torch.sqrt((x * x + y * y + z * z).double()).to(place.dtype)
 
 
 def warp(place: Tensor, kind: int) -> tuple[Tensor, Tensor]:
