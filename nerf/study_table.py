@@ -28,6 +28,7 @@ COLUMNS = {
     "psnr": Column("PSNR", "dB", higher=True, digits=2),
     "ssim_uniform7": Column("SSIM-uniform7", higher=True),
     "ssim_gauss11": Column("SSIM-gauss11", higher=True),
+    "lpips": Column("LPIPS"),
     "lpips_squeeze": Column("LPIPS-squeeze"),
     "lpips_vgg": Column("LPIPS-vgg"),
     "rmse": Column("RMSE", "m"),
@@ -35,6 +36,7 @@ COLUMNS = {
 }
 LEAD = ("field", "views", "prior")
 """What every table names first; rows of one field and one choice of views are ranked together."""
+_CHOICES = ("loss", *SHARES, "truth_mask")
 _HEADS = {"truth_mask": "pixels"}
 
 
@@ -53,7 +55,7 @@ def lay_out(outcomes: Sequence[Outcome]) -> Sheet:
         groups.setdefault(replace(spec, seed=0), []).append(report)
     labels = _labels(list(groups))
     guided = [spec for spec in groups if spec.prior != NONE]
-    choices = {key: {getattr(spec, key) for spec in guided} for key in ("loss", *SHARES, "truth_mask")}
+    choices = {key: {getattr(spec, key) for spec in guided} for key in _CHOICES}
     varied = [key for key, values in choices.items() if len(values) > 1]
     fixed = [f"{_HEADS.get(key, key)} {_write(guided[0], key)}" for key, values in choices.items()
              if key not in varied and values - {None, False}]  # fmt: skip
@@ -61,7 +63,10 @@ def lay_out(outcomes: Sequence[Outcome]) -> Sheet:
         ((spec.field, spec.views, labels[spec.prior], *(_write(spec, key) for key in varied)), _mean(reports))
         for spec, reports in groups.items()
     ]
-    present = {key: column for key, column in COLUMNS.items() if any(key in figures for _, figures in rows)}
+    have = {key for _, figures in rows for key in figures}
+    if not any(key.startswith("lpips_") for key in have):
+        have.add("lpips")  # an empty column: a remark says what it needs
+    present = {key: column for key, column in COLUMNS.items() if key in have}
     first = made[0][1]
     caption = "; ".join([first.protocol.describe(), f"{len(first.frames)} held-out views", *fixed])
     heads = (*LEAD, *(_HEADS.get(key, key) for key in varied))
@@ -86,11 +91,12 @@ def save(outcomes: Sequence[Outcome], folder: Path, command: str) -> list[Path]:
     paths = [folder / f"table{suffix}" for suffix in texts]
     for path, text in zip(paths, texts.values(), strict=True):
         codecs.write_bytes(path, text.encode())
-    lines = density_lines(outcomes)
-    if lines:
+    curves = density_curves(outcomes)
+    if curves:
         paths.append(folder / "density.png")
-        picture = plot(lines, "share of the prior's values kept, %", "PSNR, dB", "study", from_zero=False)
-        codecs.write_image(paths[-1], picture)
+        x_label, y_label = "share of the prior's values kept, %", "PSNR, dB"
+        plots = [plot(lines, x_label, y_label, title, from_zero=False) for title, lines in curves.items()]
+        codecs.write_image(paths[-1], np.concatenate(plots))
     return paths
 
 
@@ -109,10 +115,10 @@ def as_csv(outcomes: Sequence[Outcome]) -> str:
     return out.getvalue()
 
 
-def density_lines(outcomes: Sequence[Outcome]) -> list[Line]:
-    """Make the curves of PSNR against density, one a choice of all else; runs without a prior are a dashed level.
+def density_curves(outcomes: Sequence[Outcome]) -> dict[str, list[Line]]:
+    """Make the curves of PSNR against density: a plot for one field's same views, in it a line for all else.
 
-    Empty where no choice has two densities.
+    Runs without a prior are a dashed level. Empty where no choice has two densities.
     """
     groups: dict[RunSpec, dict[float, list[float]]] = {}
     for outcome in outcomes:
@@ -120,20 +126,22 @@ def density_lines(outcomes: Sequence[Outcome]) -> list[Line]:
             spec = replace(outcome.spec, density=None, seed=0)
             share = 100.0 if outcome.spec.density is None else 100 * outcome.spec.density
             groups.setdefault(spec, {}).setdefault(share, []).append(outcome.report.metrics()["psnr"])
-    curves = {spec: points for spec, points in groups.items() if spec.prior != NONE and len(points) > 1}
-    if not curves:
-        return []
-    ends = [share for points in curves.values() for share in points]
-    levels = {spec: dict.fromkeys((min(ends), max(ends)), points[100.0]) for spec, points in groups.items()
-              if spec.prior == NONE}  # fmt: skip
     labels = _labels(list(groups))
-    lines = []
-    for spec, points in {**curves, **levels}.items():
-        label = " ".join([spec.field, spec.views, labels[spec.prior], spec.loss or ""]).strip()
+    guided = {spec: points for spec, points in groups.items() if spec.prior != NONE and len(points) > 1}
+    varied = [key for key in _CHOICES if len({getattr(spec, key) for spec in guided}) > 1]
+    plots: dict[str, list[Line]] = {}
+    for spec, points in guided.items():
         shares = sorted(points)
-        means = np.array([np.mean(points[share]) for share in shares])
-        lines.append(Line(label, np.array(shares), means, dashed=spec.prior == NONE))
-    return lines
+        label = ", ".join([labels[spec.prior], *(_write(spec, key) for key in varied)])
+        line = Line(label, np.array(shares), np.array([np.mean(points[share]) for share in shares]))
+        plots.setdefault(f"{spec.field}, {spec.views} views", []).append(line)
+    for spec, points in groups.items():
+        title = f"{spec.field}, {spec.views} views"
+        if spec.prior == NONE and title in plots:
+            ends = [float(end) for line in plots[title] for end in line.x[[0, -1]]]
+            level = np.full(2, np.mean(points[100.0]))
+            plots[title].append(Line(NONE, np.array([min(ends), max(ends)]), level, dashed=True))
+    return plots
 
 
 def _labels(specs: Sequence[RunSpec]) -> dict[str, str]:

@@ -14,7 +14,7 @@ from eval.protocol import ScoreError, preset
 from eval.result import score_frame
 from nerf.report import FrameScore, Report
 from nerf.study import NONE, Outcome, RunSpec, Study, run_study
-from nerf.study_table import commands, density_lines, lay_out, save
+from nerf.study_table import commands, density_curves, lay_out, save
 from priors.errors import DataError
 
 SETTINGS = {"drive": "wall", "fit": {"seconds": 60.0}}
@@ -149,7 +149,7 @@ def test_the_table_has_the_paper_s_shape_and_ranks_within_views(tmp_path):
     laid = lay_out(made(Study(priors=(NONE, LIDAR, STEREO)), tmp_path))
     assert laid.heads == ("field", "views", "prior")
     assert [column.title for column in laid.columns] == [
-        "PSNR dB ↑", "SSIM-uniform7 ↑", "SSIM-gauss11 ↑", "RMSE m ↓", "AbsRel ↓"
+        "PSNR dB ↑", "SSIM-uniform7 ↑", "SSIM-gauss11 ↑", "LPIPS ↓", "RMSE m ↓", "AbsRel ↓"
     ]  # fmt: skip
     assert [name[1:] for name in laid.names] == [
         ("dense", "none"), ("dense", "lidar-0123456789"), ("dense", "stereo-abcdef0123"),
@@ -157,7 +157,7 @@ def test_the_table_has_the_paper_s_shape_and_ranks_within_views(tmp_path):
     ]  # fmt: skip
     assert [row[0] for row in laid.cells] == ["23.00", "24.00", "26.00", "21.00", "22.00", "24.00"]
     assert [row[0] for row in laid.marks] == ["", "underline", "bold"] * 2
-    assert [row[4] for row in laid.marks] == ["", "underline", "bold"] * 2
+    assert [row[5] for row in laid.marks] == ["", "underline", "bold"] * 2
     assert laid.starts == (3,)
     assert laid.caption.endswith("mean over images; 2 held-out views; loss l1")
 
@@ -208,17 +208,22 @@ def test_every_format_is_written_with_its_commands(tmp_path):
     assert rows[1]["prior"] == LIDAR
     assert float(rows[1]["psnr"]) == pytest.approx(quality(study.runs()[1])[0])
     assert rows[1]["truth"] == "annotated"
-    assert cv2.imread(str(paths[4])).shape == (400, 640, 3)
+    assert cv2.imread(str(paths[4])).shape == (800, 640, 3)  # dense, sparse
     assert commands(outcomes, typed)[0] == typed
 
 
-def test_the_density_curve_has_a_line_a_choice_and_a_level_without_prior(tmp_path):
-    study = Study(priors=(NONE, LIDAR), densities=(0.3, 0.1, None), views=("dense",))
-    curve, level = density_lines(made(study, tmp_path))
-    assert curve.x.tolist() == [10, 30, 100]
-    assert curve.y == pytest.approx([23.1, 23.3, 24.0])
-    assert (level.dashed, level.x.tolist(), level.y) == (True, [10, 100], pytest.approx([23, 23]))
-    assert density_lines(made(Study(priors=(NONE, LIDAR)), tmp_path / "other")) == []
+def test_the_density_curve_has_a_plot_a_view_setting_and_a_level_without_prior(tmp_path):
+    study = Study(priors=(NONE, LIDAR), densities=(0.3, 0.1, None), seeds=(0, 1))
+    plots = density_curves(made(study, tmp_path))
+    assert list(plots) == ["ngp, dense views", "ngp, sparse views"]
+    curve, level = plots["ngp, dense views"]
+    assert (curve.label, curve.x.tolist()) == ("lidar-0123456789", [10, 30, 100])
+    assert curve.y == pytest.approx([23.6, 23.8, 24.5])  # means over seeds
+    assert (level.label, level.dashed, level.x.tolist()) == (NONE, True, [10, 100])
+    assert level.y == pytest.approx([23.5, 23.5])
+    losses = density_curves(made(Study(priors=(LIDAR,), densities=(0.1, None), losses=("l1", "kl")), tmp_path))
+    assert [line.label for line in losses["ngp, sparse views"]] == ["lidar-0123456789, l1", "lidar-0123456789, kl"]
+    assert density_curves(made(Study(priors=(NONE, LIDAR)), tmp_path / "other")) == {}
 
 
 def test_other_truths_and_other_views_are_not_compared_silently(tmp_path):
@@ -241,7 +246,10 @@ def test_what_is_absent_is_said_once(tmp_path):
     for outcome in outcomes:
         report = outcome.report
         lacking.append(Outcome(outcome.spec, Report(report.protocol, report.frames, report.info, ("LPIPS needs it",))))
-    assert lay_out(lacking).notes == ["LPIPS needs it"]
+    laid = lay_out(lacking)
+    assert laid.notes == ["LPIPS needs it"]
+    at = [column.label for column in laid.columns].index("LPIPS")
+    assert [row[at] for row in laid.cells] == ["-", "-"]
 
 
 def test_a_sheet_in_a_terminal_has_sections_and_all_heads(tmp_path):
