@@ -40,4 +40,4 @@ def drive_key(prior: Prior) -> tuple[str, ...]:
 
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:
     """Parse a command's arguments into its dataclass; --help shows its examples first."""
-    return tyro.cli(kind, prog=f"priors {command}", description=examples, args=arguments)
+    return tyro.cli(kind, prog=command, description=examples, args=arguments)

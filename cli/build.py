@@ -44,7 +44,7 @@ class BuildArguments(DriveArguments):
 
 def run(arguments: list[str]) -> int:
     """Build; returns the exit code."""
-    args: Any = parse(_with_methods(), "build", EXAMPLES, arguments)
+    args: Any = parse(_with_methods(), "priors build", EXAMPLES, arguments)
     drive = args.open()
     prior, method = build.prepare(drive, args.method, getattr(args, args.method), args.filters, args.cache)
     reads = [*method.reads, *args.filters.reads]

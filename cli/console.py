@@ -69,3 +69,30 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
             err.print(f"{label} {done}/{total}")
 
     yield step
+
+
+@contextmanager
+def fit_progress(label: str) -> Iterator[Callable[..., None]]:
+    """Show loss, PSNR, rays a second and time left on a terminal, a line every 10 s in a pipe."""
+    from nerf.fit import Status
+
+    told = 0.0
+
+    def line(status: Status) -> str:
+        speed = status.rays / max(status.step_s, 1e-6)
+        return f"PSNR {status.psnr:.1f} dB, loss {status.loss:.4f}, {speed / 1e3:.1f} k rays/s, step {status.step}"
+
+    if err.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        with Progress(*columns, TextColumn("{task.fields[line]}"), console=err) as bar:
+            task = bar.add_task(label, total=1.0, line="")
+            yield lambda status: bar.update(task, completed=status.progress, line=line(status))
+        return
+
+    def step(status: Status) -> None:
+        nonlocal told
+        if status.elapsed_s - told >= 10 or status.progress >= 1:
+            told = status.elapsed_s
+            err.print(f"{label} {status.progress:.0%}: {line(status)}")
+
+    yield step

@@ -33,7 +33,7 @@ class ListArguments:
 
 def run(arguments: list[str]) -> int:
     """List; returns the exit code: 1 where a frame is half written."""
-    args = parse(ListArguments, "list", EXAMPLES, arguments)
+    args = parse(ListArguments, "priors list", EXAMPLES, arguments)
     priors = cache.find(args.path)
     table = Table(box=SIMPLE_HEAD)
     for heading in ("drive", "prior", "folder"):

@@ -66,7 +66,7 @@ class ScoreArguments:
 
 def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
-    args = parse(ScoreArguments, "eval", EXAMPLES, arguments)
+    args = parse(ScoreArguments, "priors eval", EXAMPLES, arguments)
     files = [path for path in args.caches if path.suffix == ".json"]
     priors = [prior for path in args.caches if path not in files for prior in _with_maps(path)]
     drives = [list(together) for _, together in groupby(sorted(priors, key=drive_key), key=drive_key)]
@@ -101,7 +101,7 @@ def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> li
     """Score the priors of one drive."""
     truth = {} if args.truth is None else {"truth": str(args.truth)}
     drive = reopen({**priors[0].drive, **truth})
-    reference = None if args.against is None else _only(args.against)
+    reference = None if args.against is None else cache.only(args.against)
     protocol = _protocol(args)
     results, drawn = [], []
     for prior, name in zip(priors, labels(priors), strict=True):
@@ -154,13 +154,6 @@ def _pairs(
 def _fx_baseline(drive: Drive) -> float | None:
     frame = drive[0]
     return None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
-
-
-def _only(path: Path) -> Prior:
-    found = cache.find(path)
-    if len(found) > 1:
-        raise DataError(f"{path}: holds {len(found)} priors: name one, for example {found[0].folder}")
-    return found[0]
 
 
 def sparsification(name: str, samples: Samples, fx_baseline: float | None) -> Image:

@@ -47,7 +47,7 @@ class ShowArguments:
 
 def run(arguments: list[str]) -> int:
     """Write the pictures; returns the exit code."""
-    args = parse(ShowArguments, "show", EXAMPLES, arguments)
+    args = parse(ShowArguments, "priors show", EXAMPLES, arguments)
     priors = [prior for path in args.caches for prior in cache.find(path)]
     for _, together in groupby(sorted(priors, key=drive_key), key=drive_key):
         _show_drive(list(together), args)

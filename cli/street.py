@@ -39,7 +39,7 @@ class StreetArguments:
 
 def run(arguments: list[str]) -> int:
     """Write the street; returns the exit code."""
-    args = parse(StreetArguments, "street", EXAMPLES, arguments)
+    args = parse(StreetArguments, "priors street", EXAMPLES, arguments)
     with progress("street", args.frames) as step:
         drive = write_street(args.out, args.frames, args.seed, _size(args.size), step, args.workers)
     out.print(f"wrote {drive}")

@@ -1,5 +1,6 @@
 """Fit a model to a scene: one loop."""
 
+import json
 import math
 import time
 from collections.abc import Callable
@@ -17,6 +18,7 @@ from nerf.space import Space
 
 SAVE_EVERY_S = 30.0
 OCCUPANCY_EVERY = 16
+LOG_EVERY = 20
 
 
 @dataclass(frozen=True)
@@ -46,64 +48,13 @@ class Status:
     """Share of the budget, [0, 1]."""
     terms: dict[str, float]
     """The last batch's losses."""
+    loss: float
+    """Their weighted sum."""
+    rays: int
+    """Rays of the last batch."""
     samples: int
     """Samples of the last batch."""
+    step_s: float
+    """How long the last step took."""
 
-
-OnStep = Callable[[Status], None]
-
-
-def start(scene: Scene, config: FitConfig, device: str = "cpu") -> Model:
-    """Make an untrained model around a scene, carved where the scene has a prior."""
-    points_m = scene.points_m()
-    positions_m = scene.T_world_cam[scene.train, :3, 3]
-    space = Space.around(positions_m, points_m, fields.family(config.model.family).space)
-    carve = config.model.sampler.carve and scene.depth_m is not None
-    occupancy = Occupancy.carve(space, scene, device=device) if carve else Occupancy(space, device=device)
-    return Model(config.model, space, occupancy, config.seed, device)
-
-
-def fit(scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda status: None) -> Model:
-    """Train until the budget is spent, or go on where the run's checkpoint left off.
-
-    Checkpoints are written every SAVE_EVERY_S seconds, at the end, and when interrupted.
-    """
-    model = start(scene, config)
-    optimiser = Optimiser(config.optimiser, model.parameters())
-    done = resume(run, model, optimiser)
-    rules = replace(config.losses, distortion=config.losses.distortion * model.family.distortion / 1e-3)
-    clock = time.perf_counter() - done.elapsed_s
-    saved, step, elapsed = clock + done.elapsed_s, done.step, done.elapsed_s
-    try:
-        while not _spent(config, step, elapsed):
-            progress = _progress(config, step, elapsed)
-            found = model.train(scene.draw(config.rays, config.seed, step), rules, (config.seed, step), progress)
-            optimiser.step(progress)
-            if step % OCCUPANCY_EVERY == 0:
-                model.occupancy.update(model.density, (config.seed, step))
-            step, now = step + 1, time.perf_counter()
-            elapsed = now - clock
-            on_step(Status(step, elapsed, _progress(config, step, elapsed), found.terms, found.samples))
-            if now - saved > SAVE_EVERY_S:
-                save(run, model, optimiser, Progress(step, elapsed))
-                saved = now
-    finally:
-        if step > done.step:
-            save(run, model, optimiser, Progress(step, elapsed))
-    return model
-
-
-def _progress(config: FitConfig, step: int, elapsed_s: float) -> float:
-    """Return the spent share of the budget; of the tighter one where there are two."""
-    shares = [step / config.steps] if config.steps else []
-    shares += [elapsed_s / config.seconds] if config.seconds and not config.steps else []
-    return min(1.0, max(shares, default=1.0))
-
-
-def _spent(config: FitConfig, step: int, elapsed_s: float) -> bool:
-    return _progress(config, step, elapsed_s) >= 1
-
-
-def psnr(terms: dict[str, float]) -> float:
-    """Return the batch's PSNR, dB."""
-    return -10 * math.log10(max(terms["rgb"], 1e-10))
+    @property

@@ -17,6 +17,7 @@ from priors import cache, codecs
 from priors.build import select
 from priors.drives import reopen
 from priors.errors import DataError
+from priors.filters import Filters
 from priors.types import Drive
 
 FORMAT = 1
@@ -37,6 +38,8 @@ class RunConfig:
     """Range of frames, a:b."""
     views: str
     """dense, sparse or a number."""
+    filters: Filters
+    """What the prior passes before it is used."""
     fit: FitConfig
     """Everything else."""
 
@@ -59,14 +62,10 @@ class Run:
 
     def scene(self, drive: Drive) -> Scene:
         """Open the run's scene; arrays that are there already are used again."""
-        prior = None
-        if self.config.prior is not None:
-            found = cache.find(Path(self.config.prior))
-            if len(found) > 1:
-                raise DataError(f"{self.config.prior}: holds {len(found)} priors: name one, such as {found[0].folder}")
-            prior = found[0]
-        positions = select(drive.ids, self.config.frames)
-        return open_scene(drive, prior, self.config.views, positions, self.folder.parent / SCENES)
+        config = self.config
+        prior = None if config.prior is None else cache.only(Path(config.prior))
+        positions = select(drive.ids, config.frames)
+        return open_scene(drive, prior, config.views, positions, self.folder.parent / SCENES, config.filters)
 
 
 def claim(folder: Path, config: RunConfig) -> Run:

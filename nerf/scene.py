@@ -24,6 +24,7 @@ from nerf.rays import Rays
 from nerf.split import split
 from priors.cache import Prior
 from priors.errors import DataError
+from priors.filters import Filters
 from priors.geometry import rays as pixel_rays
 from priors.types import Camera, Drive, Matrix
 
@@ -95,9 +96,17 @@ def view_rays(camera: Camera, T_world_cam: Matrix) -> Rays:
 
 
 def open_scene(
-    drive: Drive, prior: Prior | None, views: str, positions: list[int], folder: Path, on_frame: Step = lambda: None
+    drive: Drive,
+    prior: Prior | None,
+    views: str,
+    positions: list[int],
+    folder: Path,
+    filters: Filters | None = None,
+    on_frame: Step = lambda: None,
 ) -> Scene:
     """Prepare a drive (the frames at `positions`) and a prior for training, or open what was prepared before.
+
+    `filters` thin the prior's maps once more, without another cache.
 
     Raises:
         DataError: frames lack poses, poses jump, or the prior was made for another drive or camera, or has no frame
@@ -108,7 +117,9 @@ def open_scene(
     home = folder / f"{drive.name}-{_digest(drive.fingerprint(), *ids)}"
     record = _prepare_images(drive, positions, home, on_frame)
     camera = Camera(np.array(record["K"]), tuple(record["size"]))
-    depth_m, weight = (None, None) if prior is None else _prepare_prior(prior, drive, ids, camera, home)
+    depth_m, weight = (
+        (None, None) if prior is None else _prepare_prior(prior, drive, positions, filters or Filters(), home)
+    )
     if depth_m is not None and not any((depth_m[position] > 0).any() for position in train):
         raise DataError(
             f"{prior and prior.folder}: no value in any of the {len(train)} training frames: build it again"
@@ -158,40 +169,43 @@ def _poses(drive: Drive, positions: list[int]) -> npt.NDArray[np.float64]:
 
 
 def _prepare_prior(
-    prior: Prior, drive: Drive, ids: list[str], camera: Camera, home: Path
+    prior: Prior, drive: Drive, positions: list[int], filters: Filters, home: Path
 ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8] | None]:
-    """Copy a prior's maps into one array each, joined by frame id."""
+    """Copy a prior's filtered maps into one array each, joined by frame id."""
     made_for = prior.manifest.get("fingerprint")
     if made_for is not None and made_for != drive.fingerprint():
-        raise DataError(
-            f"{prior.folder}: made for {prior.drive.get('path')}, not for {drive.name}: build it for this drive"
-        )
-    common = [id_ for id_ in ids if prior.depth_path(id_).exists()]
+        raise DataError(f"{prior.folder}: made for {prior.drive.get('path')}, not for this {drive.name}: build it anew")
+    common = [drive.ids[i] for i in positions if prior.depth_path(drive.ids[i]).exists()]
     if not common:
-        raise DataError(f"{prior.folder}: none of the {len(ids)} frames has a map: build the prior for these frames")
-    place = home / f"{prior.name}-{_digest(*common)}"
+        raise DataError(f"{prior.folder}: none of the {len(positions)} frames has a map: build the prior for them")
+    place = home / f"{prior.name}-{_digest(json.dumps(filters.record()), *common)}"
     if not (place / "depth.npy").exists():
-        _copy_maps(prior, ids, set(common), camera, place)
+        _copy_maps(prior, drive, positions, set(common), filters, place)
     weight = place / "weight.npy"
     return np.load(place / "depth.npy", mmap_mode="r"), np.load(weight, mmap_mode="r") if weight.exists() else None
 
 
-def _copy_maps(prior: Prior, ids: list[str], common: set[str], camera: Camera, place: Path) -> None:
+def _copy_maps(
+    prior: Prior, drive: Drive, positions: list[int], common: set[str], filters: Filters, place: Path
+) -> None:
     """Fill a temporary folder, then rename it: a killed run leaves no half array."""
     half = place.with_name(f".{place.name}.half")
     shutil.rmtree(half, ignore_errors=True)
     half.mkdir(parents=True)
-    shape = (len(ids), *camera.size)
+    size = drive[positions[0]].camera.size
+    shape = (len(positions), *size)
     depth_m = np.lib.format.open_memmap(half / "depth.npy", mode="w+", dtype=np.float32, shape=shape)
     weight = None
-    for i, id_ in enumerate(ids):
-        if id_ not in common:
+    for i, position in enumerate(positions):
+        if drive.ids[position] not in common:
             continue
-        made = prior.read(id_)
-        if made.depth_m.shape != camera.size:
+        frame = drive[position]
+        made = prior.read(frame.id)
+        if made.depth_m.shape != size:
             raise DataError(
-                f"{prior.depth_path(id_)}: {made.depth_m.shape}, the images are {camera.size}: build it again"
+                f"{prior.depth_path(frame.id)}: {made.depth_m.shape}, the images are {size}: build it again"
             )
+        made = filters(made, frame)
         depth_m[i] = made.depth_m
         if made.confidence is not None:
             if weight is None:

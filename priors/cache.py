@@ -158,6 +158,14 @@ def find(path: Path) -> list[Prior]:
     return priors
 
 
+def only(path: Path) -> Prior:
+    """Return the one prior at path; DataError where there are several."""
+    found = find(path)
+    if len(found) > 1:
+        raise DataError(f"{path}: holds {len(found)} priors: name one, for example {found[0].folder}")
+    return found[0]
+
+
 def _folders(path: Path) -> Iterator[Path]:
     """Yield prior folders: those with a manifest, and those that have maps but lost it."""
     for pattern in (".", "*", "*/*"):

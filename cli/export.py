@@ -1,0 +1,42 @@
+"""`nerf export`: a point cloud or a mesh."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from cli.arguments import parse
+from cli.console import out, progress
+from cli.views import RunArguments, open_views
+from nerf.export import CloudConfig, write_cloud, write_mesh
+
+EXAMPLES = """Write a coloured point cloud (.ply), or a mesh (.ply, .obj, .glb; needs open3d), in the drive's metric frame.
+
+examples:
+  nerf export runs/NAME
+  nerf export runs/NAME --kind mesh --out street.glb --voxel-m 0.2
+"""
+
+
+@dataclass(frozen=True)
+class ExportArguments(RunArguments):
+    """Arguments of `nerf export`."""
+
+    kind: Literal["cloud", "mesh"] = "cloud"
+    """Points, or a surface through a truncated signed distance volume."""
+    out: Path | None = None
+    """The file; default: cloud.ply or mesh.ply in the run's folder."""
+    cloud: tyro.conf.OmitArgPrefixes[CloudConfig] = field(default_factory=CloudConfig)
+
+
+def run(arguments: list[str]) -> int:
+    """Write the file; returns the exit code."""
+    args = parse(ExportArguments, "nerf export", EXAMPLES, arguments)
+    views = open_views(args)
+    path = args.out or args.run / f"{args.kind}.ply"
+    write = write_cloud if args.kind == "cloud" else write_mesh
+    with progress(args.kind, len(views.ids)) as step:
+        count = write(path, views.render, views.camera, views.T_world_cam, args.cloud, step)
+    out.print(f"wrote {path}: {count} {'points' if args.kind == 'cloud' else 'triangles'}")
+    return 0

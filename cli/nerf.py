@@ -1,0 +1,24 @@
+"""`nerf`: fit radiance fields that lean on depth priors."""
+
+from cli.program import Program
+
+PROGRAM = Program(
+    "nerf",
+    "radiance fields of streets that lean on depth priors",
+    {
+        "fit": ("cli.fit", "train a field on a drive, with or without a prior, and score its held-out views"),
+        "eval": ("cli.report", "score a run's held-out views again, or put several runs into one table"),
+        "render": ("cli.render", "render views: the drive's own, or poses from a file"),
+        "video": ("cli.video", "render a video along the drive's path"),
+        "export": ("cli.export", "write a point cloud or a mesh"),
+        "study": ("cli.study", "fit a grid of priors, views, losses and fields; one table"),
+    },
+    """\
+  nerf fit street/ --prior cache/ --views sparse --time 60s       -> runs/..., held-out views scored
+  nerf fit street/ --views sparse                                 colours alone, to compare
+  nerf fit street/ --prior cache/ --field mip360 --loss urf
+  nerf eval runs/*                                                one table
+  nerf video runs/NAME
+  nerf study street/ --priors cache/* --views dense sparse --field ngp""",
+)
+main = PROGRAM.main

@@ -1,0 +1,106 @@
+"""`nerf eval`: score runs and put them into one table."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from cli.arguments import parse
+from cli.console import out, progress
+from eval import lpips, sheet
+from nerf import checkpoint
+from nerf.report import Report, Truths, report
+from nerf.run import Run, open_run
+from nerf.scene import Scene
+from nerf.study_table import COLUMNS
+from nerf.view import renderer
+from priors import codecs
+from priors.errors import DataError
+from priors.types import Drive
+
+EXAMPLES = """Score runs' held-out views and print one table; views that were rendered already are not rendered again.
+
+examples:
+  nerf eval runs/street-ngp-sparse
+  nerf eval runs/a runs/b runs/c --save table.md table.tex
+  nerf eval runs/a --lpips-weights squeezenet1_1_fp16.npz squeeze.pth
+"""
+WRITERS = {".md": sheet.markdown, ".tex": sheet.latex, ".txt": sheet.plain}
+
+
+@dataclass(frozen=True)
+class LpipsArguments:
+    """LPIPS needs weights that the user brings."""
+
+    lpips_weights: tuple[Path, ...] = ()
+    """Backbone (torchvision's squeezenet1_1 or vgg16: .npz, .safetensors, .pth) and heads (squeeze.pth or vgg.pth)."""
+
+    def open(self) -> lpips.Lpips | None:
+        """Load the network, or return None where no weights are given."""
+        return lpips.load(self.lpips_weights) if self.lpips_weights else None
+
+
+@dataclass(frozen=True)
+class ReportArguments:
+    """Arguments of `nerf eval`."""
+
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Runs' folders."""
+    save: tuple[Path, ...] = ()
+    """Also write the table: .md, .tex or .txt, as many as wanted."""
+    lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
+
+
+def run(arguments: list[str]) -> int:
+    """Score; returns the exit code."""
+    args = parse(ReportArguments, "nerf eval", EXAMPLES, arguments)
+    bad = [path for path in args.save if path.suffix not in WRITERS]
+    if bad:
+        raise DataError(f"{bad[0]}: expected a table ending in {', '.join(WRITERS)}")
+    reports = []
+    for folder in args.runs:
+        made = open_run(folder)
+        drive = made.drive()
+        reports.append(report_run(made, args.lpips, made.scene(drive), drive))
+    laid = print_table(reports)
+    for path in args.save:
+        codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
+        out.print(f"wrote {path}")
+    return 0
+
+
+def report_run(
+    made: Run, weights: LpipsArguments, scene: Scene, drive: Drive, info: dict[str, object] | None = None
+) -> Report:
+    """Score a run's held-out views."""
+    model = checkpoint.open_model(made.folder)
+    truths = Truths(drive, [scene.ids[position] for position in scene.test])
+    told = info or {"name": made.name, "config": asdict(made.config)}
+    with progress(f"views of {made.name}", len(scene.test)) as step:
+        return report(
+            scene,
+            truths,
+            renderer(model),
+            made.folder,
+            checkpoint.digest(made.folder),
+            told,
+            weights.open(),
+            on_frame=step,
+        )
+
+
+def print_table(reports: Sequence[Report]) -> sheet.Sheet:
+    """Print a row a run."""
+    rows = [((str(made.info["name"]),), made.metrics()) for made in reports]
+    have = {key for _, figures in rows for key in figures}
+    columns = {key: column for key, column in COLUMNS.items() if key in have}
+    caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
+    remarks = list(dict.fromkeys(remark for made in reports for remark in made.remarks))
+    laid = sheet.lay(("run",), columns, rows, caption, remarks)
+    if out.is_terminal:
+        out.print(sheet.render(laid, out.width))
+    else:
+        out.file.write(sheet.plain(laid))
+    return laid

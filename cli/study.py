@@ -1,0 +1,140 @@
+"""`nerf study`: a grid of runs and its table."""
+
+import shlex
+from dataclasses import asdict, dataclass, replace
+from dataclasses import field as made_by
+from pathlib import Path
+from typing import Any, Literal
+
+import tyro
+
+from cli.arguments import DriveArguments, parse
+from cli.console import DATA_ERROR, err, fit_progress, out
+from cli.fit import FieldName, seconds
+from cli.report import LpipsArguments, report_run
+from eval import sheet
+from nerf import study_table
+from nerf.fit import FitConfig, fit
+from nerf.losses import LossConfig
+from nerf.model import ModelConfig
+from nerf.report import Report
+from nerf.run import RunConfig, claim
+from nerf.study import NONE, Outcome, RunSpec, Study, run_study
+from priors import cache
+
+EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table, as in the study.
+Runs that are done are not made again. A choice given several values is a dimension of the grid.
+
+examples:
+  nerf study street/ --priors none cache/ --views dense sparse --field ngp
+  nerf study street/ --priors cache/DRIVE/stereo-KEY --loss mse l1 kl urf --views sparse
+  nerf study street/ --priors none cache/DRIVE/completion-KEY --density 0.01 0.05 0.2 1 --time 30s
+"""
+
+
+@dataclass(frozen=True)
+class StudyArguments(DriveArguments):
+    """Arguments of `nerf study`."""
+
+    priors: tuple[Path, ...] = (Path(NONE),)
+    """Priors' folders, folders that hold several, and none: colours alone."""
+    loss: tuple[Literal["mse", "l1", "kl", "urf"], ...] = ("mse",)
+    """Depth losses."""
+    views: tuple[str, ...] = ("dense", "sparse")
+    """Training views: dense, sparse or numbers."""
+    field: tuple[FieldName, ...] = ("ngp",)
+    """Families of fields."""
+    clip: tuple[float, ...] = ()
+    """Farthest depths of the prior that are used, metres."""
+    confidence: tuple[float, ...] = ()
+    """Least confidences of what is used."""
+    keep: tuple[float, ...] = ()
+    """Shares of the prior's values that are used, the most confident ones."""
+    density: tuple[float, ...] = ()
+    """Shares of the prior's values that are used, drawn at random."""
+    truth_mask: Literal["no", "yes", "both"] = "no"
+    """Use only pixels with a true depth."""
+    seed: tuple[int, ...] = (0,)
+    """Every run is made once a seed; the table has the means."""
+    frames: str | None = None
+    """Range of frames, a:b."""
+    time: str = "60s"
+    """How long each run trains."""
+    steps: int | None = None
+    """Train each run so many steps instead."""
+    losses: tyro.conf.OmitArgPrefixes[tyro.conf.Suppress[LossConfig]] = made_by(default_factory=LossConfig)
+    out: Path = Path("study")
+    """The study's folder."""
+    lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = made_by(default_factory=LpipsArguments)
+
+    def grid(self) -> Study:
+        """Return the grid that was asked for."""
+        folders = [
+            [NONE] if str(path) == NONE else [str(prior.folder) for prior in cache.find(path)] for path in self.priors
+        ]
+        masks = {"no": (False,), "yes": (True,), "both": (False, True)}[self.truth_mask]
+        return Study(
+            priors=tuple(name for several in folders for name in several),
+            losses=self.loss,
+            views=self.views,
+            fields=self.field,
+            clips=self.clip or (None,),
+            confidences=self.confidence or (None,),
+            keeps=self.keep or (None,),
+            truth_masks=masks,
+            densities=self.density or (None,),
+            seeds=self.seed,
+        )
+
+
+def run(arguments: list[str]) -> int:
+    """Make the study; returns the exit code: 1 where a run failed."""
+    args = parse(StudyArguments, "nerf study", EXAMPLES, arguments)
+    drive = args.open()
+    grid = args.grid()
+    budget = {"steps": args.steps} if args.steps is not None else {"seconds": seconds(args.time)}
+    settings = {"drive": drive.describe(), "frames": args.frames, **budget}
+
+    def make(spec: RunSpec, folder: Path, config: dict[str, Any]) -> Report:
+        fitted = FitConfig(
+            model=ModelConfig(family=spec.field),
+            losses=replace(args.losses, loss=spec.loss or "none"),
+            steps=args.steps,
+            seconds=None if args.steps is not None else seconds(args.time),
+            seed=spec.seed,
+        )
+        where = None if spec.prior == NONE else str(Path(spec.prior).resolve())
+        asked = RunConfig(drive.describe(), where, args.frames, spec.views, spec.filters(), fitted)
+        made = claim(folder, asked)
+        scene = made.scene(drive)
+        with fit_progress(spec.name) as on_step:
+            fit(scene, fitted, folder, on_step)
+        info = {"name": spec.name, "config": config, "command": _command(args, spec, folder)}
+        return report_run(made, args.lpips, scene, drive, info)
+
+    outcomes = run_study(grid, args.out, make, settings, _tell)
+    laid = study_table.lay_out(outcomes)
+    out.print(sheet.render(laid, out.width)) if out.is_terminal else out.file.write(sheet.plain(laid))
+    for path in study_table.save(outcomes, args.out, shlex.join(["nerf", "study", *arguments])):
+        out.print(f"wrote {path}")
+    return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0
+
+
+def _tell(outcome: Outcome) -> None:
+    if outcome.report is None:
+        err.print(f"[bold red]{outcome.spec.name}:[/] {outcome.error}")
+    elif not outcome.fresh:
+        err.print(f"{outcome.spec.name}: done before")
+
+
+def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
+    """Write the command that makes one run alone."""
+    parts = ["nerf", "fit", str(args.data), "--field", spec.field, "--views", spec.views, "--run", str(folder)]
+    parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
+    parts += ["--frames", args.frames] if args.frames else []
+    if spec.prior != NONE:
+        parts += ["--prior", spec.prior, "--loss", str(spec.loss)]
+        record = {name: value for name, value in asdict(spec).items() if name in study_table.SHARES}
+        parts += [word for name, value in record.items() if value is not None for word in (f"--{name}", f"{value:g}")]
+        parts += ["--truth-mask"] if spec.truth_mask else []
+    return shlex.join([*parts, "--seed", str(spec.seed)])

@@ -1,0 +1,38 @@
+"""`nerf video`: a video along the drive's path."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import tyro
+
+from cli.arguments import parse
+from cli.console import out, progress
+from cli.views import RunArguments, open_views
+from nerf.video import VideoConfig, write_video
+
+EXAMPLES = """Render a video along the drive's path: colour over depth.
+
+examples:
+  nerf video runs/NAME
+  nerf video runs/NAME --frames 10:30 --steps 4 --out slow.mp4
+"""
+
+
+@dataclass(frozen=True)
+class VideoArguments(RunArguments):
+    """Arguments of `nerf video`."""
+
+    out: Path | None = None
+    """The file; default: video.mp4 in the run's folder."""
+    video: tyro.conf.OmitArgPrefixes[VideoConfig] = field(default_factory=VideoConfig)
+
+
+def run(arguments: list[str]) -> int:
+    """Write the video; returns the exit code."""
+    args = parse(VideoArguments, "nerf video", EXAMPLES, arguments)
+    views = open_views(args)
+    path = args.out or args.run / "video.mp4"
+    with progress("video", args.video.steps * (len(views.ids) - 1) + 1) as step:
+        write_video(path, views.render, views.camera, views.T_world_cam, args.video, step)
+    out.print(f"wrote {path}")
+    return 0
