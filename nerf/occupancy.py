@@ -5,8 +5,8 @@ Carving, before the first step, from what the training views know:
 1. A view votes for the cells within `reach` of its prior values, along their rays, and against those that it looks
    through. Cells with at least AGREED of the votes for them are kept, and so are their neighbours: one view's outlier
    does not fill the air that all others look through.
-2. A ray without a value and without any value nearby in its image (sky, or above the scanner) says nothing: cells it
-   passes stay open, unless a view voted on them.
+2. A ray without a value and not among values in its image (sky, or above the scanner) says nothing: cells it passes
+   stay open, unless a view voted on them.
 3. Everything else is empty. A hole between values (LiDAR lines) opens nothing: neighbours and other views fill it.
 
 So a dense prior leaves a shell around the surfaces; a LiDAR cuts away nothing of what is above it; and without any
@@ -173,8 +173,11 @@ class Occupancy:
 
 
 def _parted(scene: Scene, position: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return a view's pixels (flat) with a prior value and those with none even nearby, both thinned."""
-    from scipy.ndimage import maximum_filter
+    """Return a view's pixels (flat) with a prior value and those beyond the prior's reach, both thinned.
+
+    A hole between values is neither: it is within the closing of the values' mask.
+    """
+    from scipy.ndimage import maximum_filter, minimum_filter
 
     height, width = scene.camera.size
     stride = max(1, round(scene.camera.fx / RAYS_PER_RADIAN))
@@ -187,7 +190,8 @@ def _parted(scene: Scene, position: int) -> tuple[npt.NDArray[np.int64], npt.NDA
     if len(seen):
         # The window holds about a dozen values where they are spread evenly.
         window = 2 * int(np.clip(np.ceil(2 / np.sqrt(valid.mean())), 2, 16)) + 1
-        blind &= ~maximum_filter(valid, window)
+        grown = maximum_filter(valid, window, mode="constant", cval=0)
+        blind &= ~minimum_filter(grown, window, mode="constant", cval=1)
     return seen[:: max(1, len(seen) * stride**2 // valid.size)], np.flatnonzero(blind)
 
 

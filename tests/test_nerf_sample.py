@@ -260,7 +260,9 @@ def test_compiled_resampling_equals_plain(seed: int, gaps: bool, margin: float, 
     targets = torch.rand(3, 9, generator=torch.Generator().manual_seed(seed)).sort(dim=1)[0]
     args = (offsets, s0, s1, weights)
     one = run("compiled", *args, targets=targets, margin=margin, anneal=anneal)
-    torch.testing.assert_close(one, run("plain", *args, targets=targets, margin=margin, anneal=anneal), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        one, run("plain", *args, targets=targets, margin=margin, anneal=anneal), atol=1e-6, rtol=0
+    )
     assert (one[1] >= one[0]).all() and one.min() >= 0 and one.max() <= 1
 
 
