@@ -11,7 +11,7 @@ from cli.console import out, progress
 from cli.views import RunArguments, open_views
 from nerf.export import CloudConfig, write_cloud, write_mesh
 
-EXAMPLES = """Write a coloured point cloud (.ply), or a mesh (.ply, .obj, .glb; needs open3d), in the drive's metric frame.
+EXAMPLES = """Write a coloured point cloud (.ply), or a mesh (.ply, .obj, .glb; needs open3d), in the drive's frame.
 
 examples:
   nerf export runs/NAME

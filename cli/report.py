@@ -75,20 +75,12 @@ def report_run(
     made: Run, weights: LpipsArguments, scene: Scene, drive: Drive, info: dict[str, object] | None = None
 ) -> Report:
     """Score a run's held-out views."""
-    model = checkpoint.open_model(made.folder)
+    render = renderer(checkpoint.open_model(made.folder))
     truths = Truths(drive, [scene.ids[position] for position in scene.test])
     told = info or {"name": made.name, "config": asdict(made.config)}
+    key = checkpoint.digest(made.folder)
     with progress(f"views of {made.name}", len(scene.test)) as step:
-        return report(
-            scene,
-            truths,
-            renderer(model),
-            made.folder,
-            checkpoint.digest(made.folder),
-            told,
-            weights.open(),
-            on_frame=step,
-        )
+        return report(scene, truths, render, made.folder, key, told, weights.open(), on_frame=step)
 
 
 def print_table(reports: Sequence[Report]) -> sheet.Sheet:

@@ -22,7 +22,7 @@ from nerf.run import RunConfig, claim
 from nerf.study import NONE, Outcome, RunSpec, Study, run_study
 from priors import cache
 
-EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table, as in the study.
+EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table.
 Runs that are done are not made again. A choice given several values is a dimension of the grid.
 
 examples:

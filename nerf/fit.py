@@ -58,3 +58,71 @@ class Status:
     """How long the last step took."""
 
     @property
+    def psnr(self) -> float:
+        """The last batch's PSNR, dB."""
+        return -10 * math.log10(max(self.terms["rgb"], 1e-10))
+
+    def line(self) -> str:
+        """Return a line of metrics.jsonl."""
+        numbers = {"seconds": self.elapsed_s, "psnr": self.psnr, "loss": self.loss, **self.terms}
+        rounded = {name: float(f"{value:.6g}") for name, value in numbers.items()}
+        return json.dumps({"step": self.step, **rounded, "samples": self.samples}) + "\n"
+
+
+OnStep = Callable[[Status], None]
+
+
+def start(scene: Scene, config: FitConfig, device: str = "cpu") -> Model:
+    """Make an untrained model around a scene, carved where the scene has a prior."""
+    points_m = scene.points_m()
+    positions_m = scene.T_world_cam[scene.train, :3, 3]
+    space = Space.around(positions_m, points_m, fields.family(config.model.family).space)
+    carve = config.model.sampler.carve and scene.depth_m is not None
+    occupancy = Occupancy.carve(space, scene, device=device) if carve else Occupancy(space, device=device)
+    return Model(config.model, space, occupancy, config.seed, device)
+
+
+def fit(scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda status: None) -> Model:
+    """Train until the budget is spent, or go on where the run's checkpoint left off.
+
+    Checkpoints are written every SAVE_EVERY_S seconds, at the end, and when interrupted; metrics.jsonl gets a line
+    every LOG_EVERY steps.
+    """
+    model = start(scene, config)
+    optimiser = Optimiser(config.optimiser, model.parameters())
+    done = resume(run, model, optimiser)
+    rules = replace(config.losses, distortion=config.losses.distortion * model.family.distortion)
+    step, elapsed = done.step, done.elapsed_s
+    saved = time.perf_counter()
+    clock = saved - elapsed
+    run.mkdir(parents=True, exist_ok=True)
+    log = (run / "metrics.jsonl").open("a", buffering=1)
+    try:
+        while _progress(config, step, elapsed) < 1:
+            progress = _progress(config, step, elapsed)
+            found = model.train(scene.draw(config.rays, config.seed, step), rules, (config.seed, step), progress)
+            optimiser.step(progress)
+            if step % OCCUPANCY_EVERY == 0:
+                model.occupancy.update(model.density, (config.seed, step))
+            now = time.perf_counter()
+            step, took, elapsed = step + 1, now - clock - elapsed, now - clock
+            share = _progress(config, step, elapsed)
+            status = Status(step, elapsed, share, found.terms, found.total, config.rays, found.samples, took)
+            if step % LOG_EVERY == 0:
+                log.write(status.line())
+            on_step(status)
+            if now - saved > SAVE_EVERY_S:
+                save(run, model, optimiser, Progress(step, elapsed))
+                saved = now
+    finally:
+        log.close()
+        if step > done.step:
+            save(run, model, optimiser, Progress(step, elapsed))
+    return model
+
+
+def _progress(config: FitConfig, step: int, elapsed_s: float) -> float:
+    """Return the spent share of the budget: of the steps where they are given, else of the time."""
+    if config.steps is not None:
+        return min(1.0, step / max(config.steps, 1))
+    return min(1.0, elapsed_s / config.seconds) if config.seconds else 1.0

@@ -120,10 +120,8 @@ def open_scene(
     depth_m, weight = (
         (None, None) if prior is None else _prepare_prior(prior, drive, positions, filters or Filters(), home)
     )
-    if depth_m is not None and not any((depth_m[position] > 0).any() for position in train):
-        raise DataError(
-            f"{prior and prior.folder}: no value in any of the {len(train)} training frames: build it again"
-        )
+    if prior is not None and depth_m is not None and not any((depth_m[position] > 0).any() for position in train):
+        raise DataError(f"{prior.folder}: no value in any of the {len(train)} training frames: build or filter it anew")
     images = np.load(home / "images.npy", mmap_mode="r")
     return Scene(drive.name, ids, camera, np.array(record["T_world_cam"]), images, depth_m, weight, train, test)
 

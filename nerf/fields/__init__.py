@@ -17,8 +17,8 @@ class Family:
     """Candidates per ray of each proposal round before the field's own samples; none: the occupancy grid alone."""
     anti_aliased: bool = False
     """Ask the grid for a sample's extent, not for a point: levels finer than a pixel's cone fade."""
-    distortion: float = 1e-3
-    """Weight of the distortion loss."""
+    distortion: float = 1.0
+    """How much more the distortion loss weighs than usual."""
 
 
 def names() -> list[str]:

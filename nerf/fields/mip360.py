@@ -6,4 +6,4 @@ samples with an extent (levels of the grid fade where the pixel's cone is wider 
 
 from nerf.fields import Family
 
-FAMILY = Family(space="ball", proposals=(48,), anti_aliased=True, distortion=1e-2)
+FAMILY = Family(space="ball", proposals=(48,), anti_aliased=True, distortion=10.0)
