@@ -42,7 +42,7 @@ class LossConfig:
     """Standard deviation of the prior as a share of its depth, for kl and urf."""
     sigma_floor_m: float = 0.1
     """Smallest standard deviation of the prior, metres."""
-    confidence: bool = False
+    by_confidence: bool = False
     """Weight rays by the prior's confidence."""
     trim: float = 0.0
     """Share of each batch's prior rays, those with the largest depth loss, that is left out."""
@@ -90,7 +90,7 @@ def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:
     if rays.depth_m is None:
         return None
     valid = (rays.depth_m > 0) & torch.isfinite(rays.depth_m)
-    weight = rays.weight if config.confidence and rays.weight is not None else torch.ones_like(rays.depth_m)
+    weight = rays.weight if config.by_confidence and rays.weight is not None else torch.ones_like(rays.depth_m)
     return torch.where(valid, weight, 0.0)
 
 

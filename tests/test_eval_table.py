@@ -11,6 +11,7 @@ from rich.console import Console
 from eval import table
 from eval.protocol import ScoreError, preset
 from eval.result import score
+from eval.sheet import rank
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -40,9 +41,9 @@ def test_best_is_bold_and_second_underlined_by_each_metric_s_direction(three):
 
 
 def test_ranks_are_of_printed_figures_and_leave_out_what_is_missing():
-    assert table.rank(["0.10", "0.10", "-", "0.20"], higher=False) == ["bold", "bold", "", "underline"]
-    assert table.rank(["9.00", "10.00"], higher=True) == ["underline", "bold"]
-    assert table.rank(["-", "-"], higher=True) == ["", ""]
+    assert rank(["0.10", "0.10", "-", "0.20"], higher=False) == ["bold", "bold", "", "underline"]
+    assert rank(["9.00", "10.00"], higher=True) == ["underline", "bold"]
+    assert rank(["-", "-"], higher=True) == ["", ""]
     empty = score([], preset("uncapped"), info={"prior": "none"})
     assert table.sheet([make("a", 1.1), empty], ["rmse"]).cells[1] == ["-"]
 

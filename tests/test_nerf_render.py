@@ -150,7 +150,7 @@ def test_extreme_densities_stay_finite(value: float) -> None:
 def test_the_whole_loss_has_its_gradient(kind: str) -> None:
     """Central differences of the reduced total against the composed backward pass."""
     samples, sigma, rgb, sky, rays = make([12, 7, 20, 3], seed=5)
-    config = LossConfig(loss=kind, depth_weight=0.7, distortion=0.3, opacity=0.2, confidence=True)
+    config = LossConfig(loss=kind, depth_weight=0.7, distortion=0.3, opacity=0.2, by_confidence=True)
 
     def total(s: Tensor) -> float:
         return losses(config, samples, rays, s, render_cpu.render(samples, s, rgb, sky)).total
