@@ -185,7 +185,7 @@ def sparsification(name: str, samples: Samples, fx_baseline: float | None) -> Im
 
 
 def _best_share(name: str, samples: Samples) -> str:
-    """Score the study's share of the truth's pixels: the most confident ones, and the nearest, which need no confidence."""
+    """Score the study's share of the pixels: the most confident ones, and the nearest, which need no confidence."""
     nearest = replace(samples, confidence=-samples.prediction_m)
     made = [best(chosen, STUDY_SHARE) for chosen in (samples, nearest)]
     texts = [f"AbsRel {figures['abs_rel']:.4f}, RMSE {figures['rmse']:.3f} m" for figures in made]
