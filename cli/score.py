@@ -12,7 +12,7 @@ import tyro
 from cli.arguments import drive_key, parse
 from cli.console import out, progress
 from eval import table
-from eval.curves import Metric, Samples, collect, curves
+from eval.curves import Metric, Samples, best, collect, curves
 from eval.protocol import PRESETS, Protocol, preset
 from eval.result import Result, Scored, score
 from priors import cache, codecs
@@ -34,6 +34,10 @@ examples:
   priors eval cache/ --against cache/DRIVE/lidar-KEY         another prior as truth
   priors eval a/metrics.json b/metrics.json --save table.tex  a table of results made before
 """
+
+
+STUDY_SHARE = 0.9228
+"""The density of the study's confidence-filtered stereo maps."""
 
 
 @dataclass(frozen=True)
@@ -115,6 +119,7 @@ def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> li
         if args.curves is not None and (prior.folder / "confidence").is_dir():
             samples = collect((scored[1:] for scored in _pairs(prior, drive, reference, ids)), protocol)
             drawn.append(sparsification(name, samples, fx_baseline))
+            out.print(_best_share(name, samples))
     if drawn and args.curves is not None:
         path = args.curves.with_name(f"{args.curves.stem}-{drive.name}{args.curves.suffix}") if several else args.curves
         codecs.write_image(path, np.concatenate(drawn))
@@ -170,6 +175,14 @@ def sparsification(name: str, samples: Samples, fx_baseline: float | None) -> Im
         column = table.COLUMNS[metric]
         plots.append(plot(lines, "share of the pixels kept", f"{column.label} {column.unit}".strip(), name))
     return np.concatenate(plots, axis=1)
+
+
+def _best_share(name: str, samples: Samples) -> str:
+    """Score the study's share of the pixels: the most confident ones, and the nearest, which need no confidence."""
+    nearest = replace(samples, confidence=-samples.prediction_m)
+    made = [best(chosen, STUDY_SHARE) for chosen in (samples, nearest)]
+    texts = [f"AbsRel {figures['abs_rel']:.4f}, RMSE {figures['rmse']:.3f} m" for figures in made]
+    return f"{name}: the {STUDY_SHARE:.2%} most confident pixels {texts[0]}; the nearest {texts[1]}"
 
 
 def _print_ranges(results: Sequence[Result]) -> None:

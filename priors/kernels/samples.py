@@ -190,16 +190,19 @@ def slopes(
     reach_x: int,
     tolerance: Floats,
     ridge: float,
+    share: int,
 ) -> tuple[Floats, Floats]:
     """Fit a plane in inverse depth around every sample: d/dy and d/dx (n,), 1/(m px).
 
     Weighted least squares over the window; weights fall with distance and with the difference in inverse depth, in
-    units of tolerance (n,). ridge (px^2) holds at 0 a slope that no neighbour tells.
+    units of tolerance (n,). ridge (px^2) holds at 0 a slope that no neighbour tells. Up to `share` samples in a row, of
+    one surface by a quarter of the tolerance, have the first one's slope.
     """
     closeness = np.empty((2 * reach_y + 1, 2 * reach_x + 1), np.float32)
     for r in range(2 * reach_y + 1):
         for c in range(2 * reach_x + 1):
             closeness[r, c] = 1 / (1 + 4 * ((r - reach_y) / reach_y) ** 2 + 4 * ((c - reach_x) / reach_x) ** 2)
+    leader = 0
     slope_y, slope_x = np.zeros(len(row), np.float32), np.zeros(len(row), np.float32)
     pointer = np.zeros(len(row_start), np.int32)
     value, below = np.empty(MOST_NEIGHBOURS, np.float32), np.empty(MOST_NEIGHBOURS, np.float32)
@@ -209,6 +212,14 @@ def slopes(
         top, bottom = max(0, y - reach_y), min(len(row_start) - 1, y + reach_y + 1)
         if i == row_start[y]:
             pointer[top:bottom] = row_start[top:bottom]
+        elif (
+            i - leader < share
+            and x - column[leader] <= reach_x
+            and abs(inverse[i] - inverse[leader]) < tolerance[i] / 4
+        ):
+            slope_y[i], slope_x[i] = slope_y[leader], slope_x[leader]
+            continue
+        leader = i
         n = 0
         for r in range(top, bottom):
             k, last = pointer[r], row_start[r + 1]

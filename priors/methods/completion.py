@@ -11,6 +11,7 @@
 All lengths are in units of the samples' own spacing, so that 64 lines, 8 lines and random points work alike.
 """
 
+import threading
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Literal, Self
 
@@ -33,11 +34,13 @@ DOUBT = 0.45  # cost of a sample per likelihood of being covered
 FARNESS = 0.2  # cost per e-fold of depth: in doubt the near surface covers the far one
 SAME_SURFACE, SAME_SURFACE_PER_M = np.float32(0.07), np.float32(0.004)  # neighbours that tell a sample's slope
 RIDGE_PX2 = np.float32(1)  # holds slopes that no neighbour tells
+SHARE = 3  # how many samples in a row may have one slope
 AGREE, AGREE_PER_M = np.float32(0.05), np.float32(0.0005)  # planes that are averaged
 FAR_Y, FAR_X = 1.6, 2.4  # gaps down and across that cost 1; scan lines are denser across than down
 CONTRAST = 6e-4  # cost of a squared 8-bit grey difference: 41 levels cost 1
 EDGE = np.float32(30)  # confidence halves where the blur moves a value by 1/30 of itself
 UNSUPPORTED = np.float32(0.01)  # certainty where even the coarsest level has no sample
+_HELD = threading.local()  # work memory, kept between frames: fresh pages cost as much as filling them
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,11 @@ class Completion:
         if not (np.isfinite(self.guidance) and self.guidance >= 0 and self.reach_px >= 0):
             found = f"guidance {self.guidance} and reach-px {self.reach_px}"
             raise DataError(f"completion: expected guidance >= 0 and reach-px >= 0, found {found}")
+
+    @property
+    def reads(self) -> tuple[str, ...]:
+        """Return what a frame must have."""
+        return ("image", "sparse" if self.source == "velodyne_raw" else "sweep")
 
     def resolve(self, frame: Frame) -> Self:
         """Return the config with the source decided."""
@@ -153,17 +161,18 @@ def _spread(
 
     _, row, column, inverse = samples
     gap_y, gap_x = _gaps(samples)
-    reach_y, reach_x = max(round(1.3 * gap_y), 3), max(round(2 * gap_x), 3)
+    reach_y, reach_x = max(round(1.15 * gap_y), 3), max(round(2 * gap_x), 3)
     runs = -(-2 * reach_x // spread.LANES)
     pad = max(reach_y, spread.LANES * runs // 2)
     guide = cv2.copyMakeBorder(image, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
-    work = np.empty((4, *guide.shape), np.float32)  # one array: beyond 4 MB numpy asks for huge pages
+    work = _hold(f"level {levels}", (4, *guide.shape))
     cost, value, top, bottom = work
     cost.fill(spread.NOTHING)
     work[2:].fill(0)
     place = row + pad, column + pad, inverse
     tolerance = SAME_SURFACE * inverse + SAME_SURFACE_PER_M
-    slopes = kernels.slopes(*samples, reach_y, max(round(1.3 * gap_x), 3), tolerance, RIDGE_PX2)
+    window = max(round(1.3 * gap_y), 3), max(round(1.3 * gap_x), 3)
+    slopes = kernels.slopes(*samples, *window, tolerance, RIDGE_PX2, SHARE)
     handicap = np.float32(DOUBT) * doubt - np.float32(FARNESS) * np.log(inverse)
     planes = (*place, *slopes, handicap - handicap.min(), reach_y, runs)
     scale = np.float32(1 / (FAR_Y * gap_y) ** 2), np.float32(1 / (FAR_X * gap_x) ** 2)
@@ -186,7 +195,8 @@ def _finish(
     """Clean the inverse depth up and turn it into depth with confidence."""
     from priors.kernels import spread
 
-    depth_m, confidence, crisp, soft = np.empty((4, *size), np.float32)
+    depth_m, confidence = np.empty(size, np.float32), np.empty(size, np.float32)
+    crisp, soft = _hold("finish", (2, *size))
     cv2.medianBlur(inverse[pad : pad + size[0], pad : pad + size[1]], 5, dst=crisp)
     cv2.GaussianBlur(crisp, (3, 3), 0, dst=soft)
     empty = _thin(samples, size, CELL_PX) == 0
@@ -195,6 +205,16 @@ def _finish(
     limits = np.float32(samples[3].min() * 0.8), np.float32(samples[3].max() * 1.25)
     spread.finish(crisp, soft, certain, pad, near, *limits, EDGE, depth_m, confidence)
     return Depth(depth_m, confidence)
+
+
+def _hold(name: str, shape: tuple[int, ...]) -> FloatMap:
+    """Return this thread's work memory of that name, contents unknown; it grows as needed."""
+    size = int(np.prod(shape))
+    held: FloatMap = getattr(_HELD, name, np.empty(0, np.float32))
+    if held.size < size:
+        held = np.empty(size, np.float32)
+        setattr(_HELD, name, held)
+    return held[:size].reshape(shape)
 
 
 def _smaller(size: tuple[int, ...], step: int) -> tuple[int, int]:
