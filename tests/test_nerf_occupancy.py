@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+
 from nerf import sample
 from nerf.occupancy import AGREED, WARM_UP, Occupancy
 from nerf.rays import Rays

@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from nerf import sample
 from nerf.occupancy import Occupancy
 from nerf.rays import Rays

@@ -7,6 +7,7 @@ import pytest
 import torch
 from hypothesis import given
 from hypothesis import strategies as st
+
 from nerf.rays import Rays
 from nerf.space import Kind, Space
 from nerf.twin import space as twin

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 import torch
+
 from nerf import sample
 from nerf.occupancy import Occupancy
 from nerf.rays import Rays
