@@ -133,7 +133,7 @@ def test_asking_for_density_in_between_does_not_disturb():
 
 def test_backward_needs_its_forward():
     field = trained()
-    samples, units, d_sigma, d_rgb = made(64)
+    samples, _, d_sigma, d_rgb = made(64)
     with pytest.raises(RuntimeError, match="without the forward"):
         field.backward(d_sigma, d_rgb)
     field.density(samples.u, samples.table, keep=True)

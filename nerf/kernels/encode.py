@@ -41,6 +41,12 @@ def _axis(u, resolution):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
+def _row(number, shift, mask):  # type: ignore[no-untyped-def]
+    """Return the row of a corner's number: see nerf.grid.level_shapes."""
+    return (number ^ (number >> shift)) & mask
+
+
+@njit(cache=True, nogil=True)
 def _kept(footprint, resolution):  # type: ignore[no-untyped-def]
     """Return erf(1 / sqrt(8 (footprint resolution)^2)), absolute error below 2e-7 (Abramowitz and Stegun 7.1.26)."""
     x = floats(np.float32(0.35355339)) / larger(footprint * floats(np.float32(resolution)), floats(1e-6))
@@ -54,9 +60,9 @@ def _kept(footprint, resolution):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _encode_level(u, base, footprint, words, shape, out, first, last):  # type: ignore[no-untyped-def]
-    """Interpolate one level for samples [first, last); `shape` is resolution, row strides, mask and first row."""
-    resolution, stride_y, stride_z, mask, start = shape[0], shape[1], shape[2], shape[3], np.int64(shape[4])
-    step_y, step_z, keep = ints(stride_y), ints(stride_z), ints(mask)
+    """Interpolate one level for samples [first, last); `shape` is a row of `level_shapes`."""
+    resolution, step_y, step_z, start = shape[0], ints(shape[1]), ints(shape[2]), np.int64(shape[5])
+    shift, mask = ints(shape[3]), ints(shape[4])
     for i in range(first, last, 16):
         x, fx = _axis(load_floats(u[0], i), resolution)
         y, fy = _axis(load_floats(u[1], i), resolution)
@@ -72,10 +78,10 @@ def _encode_level(u, base, footprint, words, shape, out, first, last):  # type: 
             for dy in range(2):
                 wy = wz * (fy if dy else floats(1.0) - fy)
                 line = plane + step_y if dy else plane
-                word = gather(words, start, (line & keep) + offset)
+                word = gather(words, start, _row(line, shift, mask) + offset)
                 weight = wy * (floats(1.0) - fx)
                 low, high = fma(weight, low_float(word), low), fma(weight, high_float(word), high)
-                word = gather(words, start, ((line + ints(1)) & keep) + offset)
+                word = gather(words, start, _row(line + ints(1), shift, mask) + offset)
                 weight = wy * fx
                 low, high = fma(weight, low_float(word), low), fma(weight, high_float(word), high)
         if footprint.size:
@@ -87,8 +93,8 @@ def _encode_level(u, base, footprint, words, shape, out, first, last):  # type: 
 @njit(cache=True, nogil=True)
 def _spread_level(u, base, footprint, words, shape, gradient, count):  # type: ignore[no-untyped-def]
     """Add every sample's gradient to its 8 rows of one level."""
-    resolution, stride_y, stride_z, mask, start = shape[0], shape[1], shape[2], shape[3], np.int64(shape[4])
-    step_y, step_z, keep = ints(stride_y), ints(stride_z), ints(mask)
+    resolution, step_y, step_z, start = shape[0], ints(shape[1]), ints(shape[2]), np.int64(shape[5])
+    shift, mask = ints(shape[3]), ints(shape[4])
     rows = np.empty(8 * 16, dtype=np.int32)  # of the 8 corners of 16 samples
     pairs = np.empty(8 * 32, dtype=np.float32)  # what to add there
     for i in range(0, count, 16):
@@ -112,10 +118,10 @@ def _spread_level(u, base, footprint, words, shape, gradient, count):  # type: i
                 line = plane + step_y if dy else plane
                 k = 64 * dz + 32 * dy
                 weight = wy * (floats(1.0) - fx)
-                store(rows, k, (line & keep) + offset)
+                store(rows, k, _row(line, shift, mask) + offset)
                 store_pairs(pairs, 2 * k, weight * low, weight * high)
                 weight = wy * fx
-                store(rows, k + 16, ((line + ints(1)) & keep) + offset)
+                store(rows, k + 16, _row(line + ints(1), shift, mask) + offset)
                 store_pairs(pairs, 2 * k + 32, weight * low, weight * high)
         for lane in range(16):  # a sample's corners are 8 rows: no addition waits for the one before
             for k in range(lane, 128, 16):
@@ -129,8 +135,8 @@ def encode(
     """Interpolate all levels.
 
     u (3, m), m a multiple of 16; base (m,) first row of the sample's table, or empty; footprint (m,) or empty; words
-    (rows,) of all tables; shapes (levels, 5), see `Grid`; out (levels, m). Each level is done in `parts` stretches of
-    samples; thread t of `threads` takes every threads-th of them.
+    (rows,) of all tables; shapes (levels, 6) of `level_shapes`; out (levels, m). Each level is done in `parts`
+    stretches of samples; thread t of `threads` takes every threads-th of them.
     """
     levels, count = out.shape
     stretch = (count // 16 + parts - 1) // parts * 16
@@ -159,7 +165,7 @@ def spread(
     levels, count = words.shape
     for thread in prange(threads):
         for level in range(thread, levels, threads):
-            first, last = shapes[level, 4], shapes[level + 1, 4] if level + 1 < levels else rows
+            first, last = shapes[level, 5], shapes[level + 1, 5] if level + 1 < levels else rows
             for table in range(0, gradient.size // 2, rows):
                 gradient[2 * (table + first) : 2 * (table + last)] = 0
             _spread_level(u, base, footprint, words[level], shapes[level], gradient, count)

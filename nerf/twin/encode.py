@@ -13,7 +13,7 @@ def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, 
     """Return features (levels, m, 2) of u (m, 3) in [0, 1], table (m,), footprint (m,); weights (tables, rows, 2)."""
     features = []
     for shape in config.shapes.tolist():
-        resolution, stride_y, stride_z, mask, start = shape
+        resolution, stride_y, stride_z, shift, mask, start = shape
         place = u * resolution
         cell = place.detach().floor().clamp(0, resolution - 1)
         within = (place - cell).to(weights.dtype)
@@ -21,7 +21,8 @@ def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, 
         for corner in range(8):
             step = torch.tensor([corner & 1, corner >> 1 & 1, corner >> 2 & 1], device=u.device)
             x, y, z = (cell.to(torch.int64) + step).unbind(-1)
-            row = start + ((x + stride_y * y + stride_z * z) & mask & 0xFFFFFFFF)
+            n = (x + stride_y * y + stride_z * z) & 0xFFFFFFFF
+            row = start + ((n ^ (n >> shift)) & (mask & 0xFFFFFFFF))
             share = torch.where(step == 1, within, 1 - within).prod(-1)
             total = total + share[:, None] * weights[table.long(), row]
         if footprint is not None:
