@@ -3,6 +3,8 @@
 Each module offers what `Kernels` lists. On any device without one, `plain` answers: the twin and its autograd.
 """
 
+import functools
+from importlib.util import find_spec
 from typing import TYPE_CHECKING, Protocol
 
 import torch
@@ -74,6 +76,10 @@ def kernels_for(device: torch.device) -> Kernels:
         from nerf.kernels import cpu
 
         return cpu
+    if _runs_triton(device):
+        from nerf.kernels import triton_field
+
+        return triton_field
     from nerf.kernels import plain
 
     return plain
@@ -135,6 +141,16 @@ def renderer_for(device: torch.device) -> Renderer:
         from nerf.kernels import render_cpu
 
         return render_cpu
+    if _runs_triton(device):
+        from nerf.kernels import triton_render
+
+        return triton_render
     from nerf.kernels import render_plain
 
     return render_plain
+
+
+@functools.cache
+def _runs_triton(device: torch.device) -> bool:
+    """Say whether it is a GPU with bfloat16 products, and torch came with Triton (not so on Windows)."""
+    return device.type == "cuda" and find_spec("triton") is not None and torch.cuda.get_device_capability(device) >= (8, 0)

@@ -35,6 +35,8 @@ GROUPS = 16  # of 16 samples in a chunk; a multiple of 4
 PARTS = 32  # the samples' parts, whose weight gradients are added in order, whatever the number of threads
 TILE = 256
 
+# Arguments of compiled functions are wrapped, np.int64(1): a bare literal would have them compiled once more.
+
 
 class Net(NamedTuple):
     """Weights as tiles: (out / 16, in / 32) of 16 x 16 words of two bfloat16, flat, padded with zeros."""
@@ -193,7 +195,7 @@ def _accumulate(d_out, tiles, x, depth, groups, left, right, total):  # type: ig
 def _densities(weights, depth, hidden, seen, groups, initial, sums, sigma, first):  # type: ignore[no-untyped-def]
     """Write densities, and the geometry to the upper half of the colour's input."""
     for group in range(0, groups, 4):
-        _multiply(weights, 0, depth, hidden, group, sums)
+        _multiply(weights, np.int64(0), depth, hidden, group, sums)
         for g in range(4):
             logit = smaller(load_floats(sums, g * TILE), floats(12.0))  # LOGIT_MAX of the twin
             store(sigma, first + 16 * (group + g), exponential(logit) * floats(np.float32(initial)))
@@ -207,7 +209,7 @@ def _colours(weights, depth, hidden, groups, sums, rgb, first):  # type: ignore[
     """Write colours (m, 3): the sigmoid of the last layer."""
     one, zero = floats(1.0), floats(0.0)
     for group in range(0, groups, 4):
-        _multiply(weights, 0, depth, hidden, group, sums)
+        _multiply(weights, np.int64(0), depth, hidden, group, sums)
         for g in range(4):
             start = 3 * (first + 16 * (group + g))
             for channel in range(3):
@@ -224,14 +226,14 @@ def _forward(net, asked, initial, first, groups, work, sigma, rgb, target):  # t
     for group in range(groups):
         for level in range(asked.features.shape[0]):
             store(work.x, group * TILE + 16 * level, load_ints(asked.features[level], first + 16 * group))
-    _rectified(net.density0, net.tiles, 1, work.x, work.first, groups, work.sums)
+    _rectified(net.density0, net.tiles, np.int64(1), work.x, work.first, groups, work.sums)
     _densities(net.density1, depth, work.first, work.seen, groups, initial, work.sums, sigma, target)
     if asked.basis.size:
         for group in range(groups):
             row = larger(load_ints(asked.ray, first + 16 * group), ints(0)) << ints(3)
             for j in range(8):
                 store(work.seen, group * TILE + 16 * j, gather(asked.basis, np.int64(j), row))
-        _rectified(net.colour0, net.tiles, 1, work.seen, work.second, groups, work.sums)
+        _rectified(net.colour0, net.tiles, np.int64(1), work.seen, work.second, groups, work.sums)
         _rectified(net.colour1, net.tiles, depth, work.second, work.third, groups, work.sums)
         _colours(net.colour2, depth, work.third, groups, work.sums, rgb, target)
 
@@ -249,11 +251,11 @@ def _colours_back(net, back, work, total, d_rgb, rgb, first, groups):  # type: i
                 d = from_bits(gather(d_rgb, np.int64(3 * (first + 16 * group) + channel), triples)) * y * (one - y)
                 low, high = (low, d) if channel % 2 else (d, high)
             store(work.last, group * TILE + 16 * j, pack(low, high))
-    _accumulate(work.last, 1, work.third, depth, groups, work.left, work.right, total.colour2)
-    _returned(back.colour2, net.tiles, 1, work.last, work.third, work.d_one, groups, work.sums)
+    _accumulate(work.last, np.int64(1), work.third, depth, groups, work.left, work.right, total.colour2)
+    _returned(back.colour2, net.tiles, np.int64(1), work.last, work.third, work.d_one, groups, work.sums)
     _accumulate(work.d_one, net.tiles, work.second, depth, groups, work.left, work.right, total.colour1)
     _returned(back.colour1, net.tiles, depth, work.d_one, work.second, work.d_two, groups, work.sums)
-    _accumulate(work.d_two, net.tiles, work.seen, 1, groups, work.left, work.right, total.colour0)
+    _accumulate(work.d_two, net.tiles, work.seen, np.int64(1), groups, work.left, work.right, total.colour0)
 
 
 @njit(cache=True, nogil=True)
@@ -262,7 +264,7 @@ def _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups):  #
     depth = (net.tiles + 1) // 2
     for group in range(0, groups, 4):
         if coloured:
-            _multiply(back.colour0, 1, depth, work.d_two, group, work.sums)
+            _multiply(back.colour0, np.int64(1), depth, work.d_two, group, work.sums)
         else:
             work.sums[:] = 0
         for g in range(4):
@@ -362,14 +364,14 @@ def backward(
             last = min(count, (part + 1) * stretch)
             for first in range(part * stretch, last, 16 * GROUPS):
                 groups = min(GROUPS, (last - first) // 16)
-                _forward(net, asked, initial, first, groups, work, sigma, rgb, 0)
+                _forward(net, asked, initial, first, groups, work, sigma, rgb, np.int64(0))
                 coloured = asked.basis.size > 0
                 if coloured:
                     work.last[:] = 0
                     _colours_back(net, back, work, total, d_rgb, rgb, first, groups)
                 _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups)
-                _accumulate(work.last, 1, work.first, depth, groups, work.left, work.right, total.density1)
-                _returned(back.density1, net.tiles, 1, work.last, work.first, work.d_one, groups, work.sums)
-                _accumulate(work.d_one, net.tiles, work.x, 1, groups, work.left, work.right, total.density0)
+                _accumulate(work.last, np.int64(1), work.first, depth, groups, work.left, work.right, total.density1)
+                _returned(back.density1, net.tiles, np.int64(1), work.last, work.first, work.d_one, groups, work.sums)
+                _accumulate(work.d_one, net.tiles, work.x, np.int64(1), groups, work.left, work.right, total.density0)
                 _features_back(net, back, work, first, groups, d_features)
         release()
