@@ -122,8 +122,8 @@ class Space:
 
     def turn(self, vectors_m: Tensor) -> Tensor:
         """Map world vectors (n, 3), metres, to changes of place."""
-        scale = torch.tensor(np.array(self.axes) / np.array(self.half_m)[:, None], dtype=vectors_m.dtype)
-        return vectors_m @ scale.to(vectors_m.device).T
+        scale = np.array(self.axes) / np.array(self.half_m)[:, None]
+        return vectors_m @ torch.tensor(scale, dtype=vectors_m.dtype, device=vectors_m.device).T
 
     def warp(self, points_m: Tensor) -> tuple[Tensor, Tensor]:
         """Map world points (n, 3), metres, to u (n, 3) in [0, 1] and table (n,) int32."""

@@ -86,7 +86,7 @@ def kernels_for(device: torch.device) -> Kernels:
 
 
 class Renderer(Protocol):
-    """The functions of the renderer and of the losses that look at samples; shapes as in nerf.render and nerf.losses."""
+    """The functions of the renderer and of the losses that look at samples; shapes as nerf.render and nerf.losses."""
 
     def render(self, samples: "Samples", sigma: Tensor, rgb: Tensor, sky: Tensor) -> "Rendered":
         """Composite."""
@@ -153,4 +153,6 @@ def renderer_for(device: torch.device) -> Renderer:
 @functools.cache
 def _runs_triton(device: torch.device) -> bool:
     """Say whether it is a GPU with bfloat16 products, and torch came with Triton (not so on Windows)."""
-    return device.type == "cuda" and find_spec("triton") is not None and torch.cuda.get_device_capability(device) >= (8, 0)
+    if device.type != "cuda" or find_spec("triton") is None:
+        return False
+    return torch.cuda.get_device_capability(device) >= (8, 0)

@@ -1,0 +1,175 @@
+"""Samples a second of the hash field, forward + backward + update, on a GPU: kernels, the plain twin, and the parts.
+
+python tests/bench/bench_gpu.py [--samples 262144] [--log2-size 19] [--width 64]
+"""
+
+import argparse
+import platform
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+import nerf.kernels
+from nerf import render
+from nerf.field import Field, FieldConfig
+from nerf.grid import GridConfig
+from nerf.harmonics import harmonics
+from nerf.kernels import cpu, kernels_for, plain, render_cpu, render_plain, renderer_for
+from nerf.mlp import NetworkConfig
+from nerf.optimise import Optimiser, OptimiserConfig
+from nerf.render import Gradients
+from nerf.samples import Samples
+
+RAY_SAMPLES = 32
+
+
+@dataclass(frozen=True)
+class Step:
+    """One training step of a field on fixed rays, without sampler and losses; called, it runs."""
+
+    field: Field
+    optimiser: Optimiser
+    samples: Samples
+    units: Tensor
+    sky: Tensor
+
+    def __call__(self) -> None:
+        sigma, rgb = self.field.forward(self.samples, self.units)
+        rendered = render.render(self.samples, sigma, rgb, self.sky)
+        gradients = Gradients.zeros(rendered)
+        gradients.rgb.copy_(rendered.rgb - 0.5)
+        d_sigma, d_rgb, _ = render.backward(self.samples, sigma, rgb, self.sky, rendered, gradients)
+        self.field.backward(d_sigma, d_rgb)
+        self.optimiser.step(0.5)
+
+
+def prepare(device: torch.device, count: int, config: FieldConfig) -> Step:
+    """Make rays with RAY_SAMPLES samples each through the unit cube, and a field."""
+    rays = count // RAY_SAMPLES
+    made = torch.Generator().manual_seed(0)
+    units = torch.nn.functional.normalize(torch.randn(rays, 3, generator=made), dim=1)
+    shares = (torch.arange(RAY_SAMPLES) + torch.rand(rays, RAY_SAMPLES, generator=made)) / RAY_SAMPLES
+    places = (torch.rand(rays, 1, 3, generator=made) + 0.4 * shares[..., None] * units[:, None]).clamp(0, 1)
+    zeros = torch.zeros(count, device=device)
+    samples = Samples(
+        offsets=torch.arange(0, count + 1, RAY_SAMPLES, device=device),
+        ray=torch.arange(rays, dtype=torch.int32, device=device).repeat_interleave(RAY_SAMPLES),
+        t=(1 + 20 * shares).flatten().to(device),
+        dt_m=zeros + 20 / RAY_SAMPLES,
+        s0=shares.flatten().to(device),
+        s1=shares.flatten().to(device) + 1 / RAY_SAMPLES,
+        u=places.flatten(0, 1).T.contiguous().to(device).T,
+        table=torch.zeros(count, dtype=torch.int32, device=device),
+        used=count,
+    )
+    field = Field(config, device)
+    optimiser = Optimiser(OptimiserConfig(), field.parameters(), field.copies())
+    return Step(field, optimiser, samples, units.to(device), torch.full((rays, 3), 0.5, device=device))
+
+
+def parts(step: Step) -> dict[str, Callable[[], Any]]:
+    """Return the stages of a step, each to be called alone."""
+    field, samples = step.field, step.samples
+    fast, painter = kernels_for(field.device), renderer_for(field.device)
+    grid, layers, config = field.grid, field.network.layers, field.config.grid
+    weights = grid.weights.to(fast.STORAGE)
+    basis = harmonics(step.units)
+    features = fast.encode(samples.u, samples.table, None, weights, config)
+    sigma, rgb = fast.shade(features, basis, samples.ray, layers, 0.02)
+    made = painter.render(samples, sigma, rgb, step.sky)
+    gradients, spread = Gradients.zeros(made), torch.zeros_like(grid.weights)
+    gradients.rgb.fill_(1)
+    return {
+        "encode": lambda: fast.encode(samples.u, samples.table, None, weights, config),
+        "shade": lambda: fast.shade(features, basis, samples.ray, layers, 0.02),
+        "render": lambda: painter.render(samples, sigma, rgb, step.sky),
+        "render backward": lambda: painter.backward(samples, sigma, rgb, step.sky, made, gradients),
+        "shade backward": lambda: fast.shade_backward(features, basis, samples.ray, layers, 0.02, sigma, rgb),
+        "spread": lambda: fast.spread(samples.u, samples.table, None, features, config, spread),
+        "update": lambda: step.optimiser.step(0.5),
+    }
+
+
+@contextmanager
+def plainly() -> Iterator[None]:
+    """Let every device use the plain twin."""
+    found = nerf.kernels._runs_triton
+    nerf.kernels._runs_triton = lambda device: False
+    nerf.kernels.cpu, nerf.kernels.render_cpu = plain, render_plain
+    yield
+    nerf.kernels._runs_triton, nerf.kernels.cpu, nerf.kernels.render_cpu = found, cpu, render_cpu
+
+
+def milliseconds(run: Callable[[], Any], device: torch.device, repeats: int) -> float:
+    """Time a call, once warm: the mean of `repeats` calls in a row."""
+    run()
+    wait(device)
+    start = time.perf_counter()
+    for _ in range(repeats):
+        run()
+    wait(device)
+    return 1e3 * (time.perf_counter() - start) / repeats
+
+
+def wait(device: torch.device) -> None:
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def captured(step: Step) -> Callable[[], None]:
+    """Record a step as a CUDA graph (the learning rate stays what it was when recorded)."""
+    side = torch.cuda.Stream()
+    with torch.cuda.stream(side):
+        for _ in range(3):
+            step()
+    torch.cuda.current_stream().wait_stream(side)
+    graph = torch.cuda.CUDAGraph()
+    with torch.cuda.graph(graph):
+        step()
+    return graph.replay
+
+
+def main() -> None:
+    """Print million samples a second, the ratio to the twin, and where the time goes."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--samples", type=int, default=1 << 18)
+    parser.add_argument("--log2-size", type=int, default=19)
+    parser.add_argument("--width", type=int, default=64)
+    parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--device", default="cuda")
+    options = parser.parse_args()
+    device, count = torch.device(options.device), options.samples // 2048 * 2048
+    config = FieldConfig(GridConfig(log2_size=options.log2_size), NetworkConfig(width=options.width))
+    name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU {platform.machine()}"
+    print(f"{name}; torch {torch.__version__}; {count} samples, {config.grid.rows} rows, {options.width} neurons")
+    fast = prepare(device, count, config)
+    kernels = kernels_for(device).__name__
+    with plainly():
+        slow = prepare(device, count // 8, config)
+    times = []
+    for _ in range(options.rounds):
+        one = milliseconds(fast, device, options.repeats)
+        with plainly():
+            other = milliseconds(slow, device, 1)
+        times.append((one, other * 8))
+    one, other = np.median(times, axis=0)
+    ratio = np.median([b / a for a, b in times])
+    print(f"{kernels}: {one:.2f} ms a step, {count / one / 1e3:.1f} M samples/s forward + backward + update")
+    print(f"plain twin (an eighth of the samples, x 8): {count / other / 1e3:.2f} M samples/s; ratio {ratio:.0f}")
+    if device.type == "cuda":
+        replay = milliseconds(captured(fast), device, options.repeats)
+        print(f"the same step as a CUDA graph: {replay:.2f} ms, {count / replay / 1e3:.1f} M samples/s")
+        print(f"memory: {torch.cuda.max_memory_allocated(device) / 2**20:.0f} MiB at most, the twin's included")
+    for part, run in parts(fast).items():
+        print(f"  {part:16}{milliseconds(run, device, options.repeats):9.3f} ms")
+
+
+if __name__ == "__main__":
+    main()
