@@ -117,9 +117,9 @@ def open_scene(
     home = folder / f"{drive.name}-{_digest(drive.fingerprint(), *ids)}"
     record = _prepare_images(drive, positions, home, on_frame)
     camera = Camera(np.array(record["K"]), tuple(record["size"]))
-    depth_m, weight = (
-        (None, None) if prior is None else _prepare_prior(prior, drive, positions, filters or Filters(), home)
-    )
+    depth_m, weight = None, None
+    if prior is not None:
+        depth_m, weight = _prepare_prior(prior, drive, positions, filters or Filters(), home)
     if prior is not None and depth_m is not None and not any((depth_m[position] > 0).any() for position in train):
         raise DataError(f"{prior.folder}: no value in any of the {len(train)} training frames: build or filter it anew")
     images = np.load(home / "images.npy", mmap_mode="r")
