@@ -89,7 +89,7 @@ def fit(scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda sta
     every LOG_EVERY steps.
     """
     model = start(scene, config)
-    optimiser = Optimiser(config.optimiser, model.parameters())
+    optimiser = Optimiser(config.optimiser, model.parameters(), model.copies())
     done = resume(run, model, optimiser)
     rules = replace(config.losses, distortion=config.losses.distortion * model.family.distortion)
     step, elapsed = done.step, done.elapsed_s

@@ -86,6 +86,11 @@ class Model:
         parts = {"field": self.field, "sky": self.sky} | {f"proposal{i}": p for i, p in enumerate(self.proposals)}
         return {f"{part}.{name}": tensor for part, made in parts.items() for name, tensor in made.parameters().items()}
 
+    def copies(self) -> dict[str, Tensor]:
+        """Return the rounded copies of parameters that the kernels read, by the parameters' names."""
+        parts = {"field": self.field} | {f"proposal{i}": p for i, p in enumerate(self.proposals)}
+        return {f"{part}.{name}": tensor for part, made in parts.items() for name, tensor in made.copies().items()}
+
     def train(self, rays: Rays, config: LossConfig, key: Key, progress: float) -> Losses:
         """Go forward and back with a batch; gradients are left in the parameters' `.grad`."""
         samples, proposed = self._sample(rays, key, progress)
