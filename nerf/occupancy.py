@@ -7,10 +7,12 @@ Carving, before the first step, from what the training views know:
    does not fill the air that all others look through.
 2. A ray without a value and not among values in its image (sky, or above the scanner) says nothing: cells it passes
    stay open, unless a view voted on them.
-3. Everything else is empty. A hole between values (LiDAR lines) opens nothing: neighbours and other views fill it.
+3. Everything else is empty, for good. A hole between values (LiDAR lines) opens nothing: neighbours and other views
+   fill it.
 
 So a dense prior leaves a shell around the surfaces; a LiDAR cuts away nothing of what is above it; and without any
-prior, what the cameras see is open. Open cells are pruned while training, from the field's own density.
+prior, what the cameras see is open. While training, cells that the field finds thin are pruned, and come back when it
+finds something there.
 """
 
 from collections.abc import Callable
@@ -48,14 +50,14 @@ class Occupancy:
     """Which cells are kept, for each table of a space; (tables, n, n, n) grids, z first, x last."""
 
     def __init__(self, space: Space, resolution: int = 128, device: torch.device | str = "cpu") -> None:
-        """Make a grid in which every cell is kept and open."""
+        """Make a grid in which every cell is kept."""
         self.space = space
         self.resolution = resolution
         shape = (space.tables, resolution, resolution, resolution)
         self.kept = torch.ones(shape, dtype=torch.uint8, device=device)
         """uint8, 1: samples are taken here."""
-        self.open = torch.ones_like(self.kept)
-        """uint8, 1: no prior knows; may be pruned and come back."""
+        self.allowed = torch.ones_like(self.kept)
+        """uint8, 1: may be kept; the others are carved away for good."""
         self.thickness = torch.full(shape, -1.0, device=device)
         """float32, optical thickness of a cell as last seen, decaying; -1: never looked at."""
 
@@ -80,9 +82,9 @@ class Occupancy:
             blindly |= self._trace(scene, position, blind, 0, np.inf)
         votes = votes_for + votes_against
         band = _dilated((votes_for >= np.float32(AGREED) * votes) & (votes_for > 0), resolution)
-        unknown = _dilated((blindly > 0) & (votes == 0), resolution) & ~band
-        self.kept.copy_(torch.from_numpy((band | unknown).reshape(self.kept.shape)))
-        self.open.copy_(torch.from_numpy(unknown.reshape(self.kept.shape)))
+        unknown = _dilated((blindly > 0) & (votes == 0), resolution)
+        self.allowed.copy_(torch.from_numpy((band | unknown).reshape(self.kept.shape)))
+        self.kept.copy_(self.allowed)
         return self
 
     @property
@@ -100,14 +102,14 @@ class Occupancy:
         self._note(samples.u[: samples.used], samples.table[: samples.used], sigma[: samples.used])
 
     def update(self, density: Density, key: tuple[int, int], probes: int = 16_384) -> None:
-        """Look at `probes` open cells, half of them kept ones, and after WARM_UP steps prune what is thin.
+        """Look at `probes` cells, half of them kept ones, and after WARM_UP steps prune what is thin.
 
         Args:
             density: u (m, 3), table (m,) -> density (m,), 1/m; of the field.
             key: seed and step: they choose the cells and the places in them.
             probes: how many cells; m is always this.
         """
-        candidates = torch.nonzero(self.open.reshape(-1))[:, 0]
+        candidates = torch.nonzero(self.allowed.reshape(-1))[:, 0]
         if not len(candidates):
             return
         generator = np.random.Generator(np.random.Philox(key=list(key), counter=[0, 0, 0, _STREAM]))
@@ -120,11 +122,11 @@ class Occupancy:
             known = self.thickness >= 0
             limit = min(THIN, float(self.thickness[known].mean()))
             thick = (self.thickness > limit) | ~known
-            self.kept.copy_(torch.where(self.open > 0, thick.to(torch.uint8), self.kept))
+            self.kept.copy_(thick.to(torch.uint8) & self.allowed)
 
     def state(self) -> dict[str, Tensor]:
         """Return what `load` needs to go on bit for bit."""
-        return {"kept": self.kept, "open": self.open, "thickness": self.thickness}
+        return {"kept": self.kept, "allowed": self.allowed, "thickness": self.thickness}
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Take over the state of another grid of the same space and resolution."""

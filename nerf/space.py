@@ -27,7 +27,7 @@ NEAR_M, FAR_M = 0.5, 250.0
 """Depths in which surfaces are looked for where no prior tells, metres."""
 AROUND_PATH_M = 16.0
 """Inner region beyond the camera path where no prior tells, metres."""
-LEAST_HALF_M, MOST_STRETCH = 4.0, 6.0
+LEAST_HALF_M, MOST_STRETCH = 4.0, 3.0
 """The inner region's half extents: at least this, and this many times the smallest, at most."""
 INNER_SHARE = {"box": 0.01, "ball": 0.10, "spheres": 0.10}
 """Share of the prior's points left out on either side of each axis."""
