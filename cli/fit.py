@@ -54,6 +54,8 @@ class FitArguments(DriveArguments):
     """Decides weights, rays and sample positions."""
     width: int = 64
     """Neurons of the hidden layers."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to train; auto: a GPU where there is one."""
     run: Path | None = None
     """The run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>."""
     losses: tyro.conf.OmitArgPrefixes[LossConfig] = field(default_factory=LossConfig)
@@ -85,13 +87,20 @@ def run(arguments: list[str]) -> int:
     if len(scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
     with fit_progress(folder.name) as on_step:
-        fit(scene, config, folder, on_step)
+        fit(scene, config, folder, on_step, pick_device(args.device))
     if scene.test:
         print_table([report_run(made, args.lpips, scene, drive)])
     else:
         out.print(f"none of the {len(scene.ids)} frames is held out (the 10th, 20th, ... are): nothing to score")
     out.print(f"wrote {folder}")
     return 0
+
+
+def pick_device(name: str) -> str:
+    """Decide 'auto'."""
+    import torch
+
+    return ("cuda" if torch.cuda.is_available() else "cpu") if name == "auto" else name
 
 
 def seconds(text: str) -> float:

@@ -4,22 +4,22 @@ import shlex
 from dataclasses import asdict, dataclass, replace
 from dataclasses import field as made_by
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, cast
 
 import tyro
 
 from cli.arguments import DriveArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out
-from cli.fit import FieldName, seconds
+from cli.fit import FieldName, pick_device, seconds
 from cli.report import LpipsArguments, report_run
 from eval import sheet
 from nerf import study_table
 from nerf.fit import FitConfig, fit
-from nerf.losses import LossConfig
+from nerf.losses import DepthLoss, LossConfig
 from nerf.model import ModelConfig
 from nerf.report import Report
 from nerf.run import RunConfig, claim
-from nerf.study import NONE, Outcome, RunSpec, Study, run_study
+from nerf.study import NONE, SHARES, Outcome, RunSpec, Study, run_study
 from priors import cache
 
 EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table.
@@ -98,7 +98,7 @@ def run(arguments: list[str]) -> int:
     def make(spec: RunSpec, folder: Path, config: dict[str, Any]) -> Report:
         fitted = FitConfig(
             model=ModelConfig(family=spec.field),
-            losses=replace(args.losses, loss=spec.loss or "none"),
+            losses=replace(args.losses, loss=cast("DepthLoss", spec.loss or "none")),
             steps=args.steps,
             seconds=None if args.steps is not None else seconds(args.time),
             seed=spec.seed,
@@ -108,8 +108,8 @@ def run(arguments: list[str]) -> int:
         made = claim(folder, asked)
         scene = made.scene(drive)
         with fit_progress(spec.name) as on_step:
-            fit(scene, fitted, folder, on_step)
-        info = {"name": spec.name, "config": config, "command": _command(args, spec, folder)}
+            fit(scene, fitted, folder, on_step, pick_device("auto"))
+        info: dict[str, object] = {"name": spec.name, "config": config, "command": _command(args, spec, folder)}
         return report_run(made, args.lpips, scene, drive, info)
 
     outcomes = run_study(grid, args.out, make, settings, _tell)
@@ -134,7 +134,7 @@ def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     parts += ["--frames", args.frames] if args.frames else []
     if spec.prior != NONE:
         parts += ["--prior", spec.prior, "--loss", str(spec.loss)]
-        record = {name: value for name, value in asdict(spec).items() if name in study_table.SHARES}
+        record = {name: value for name, value in asdict(spec).items() if name in SHARES}
         parts += [word for name, value in record.items() if value is not None for word in (f"--{name}", f"{value:g}")]
         parts += ["--truth-mask"] if spec.truth_mask else []
     return shlex.join([*parts, "--seed", str(spec.seed)])

@@ -82,13 +82,15 @@ def start(scene: Scene, config: FitConfig, device: str = "cpu") -> Model:
     return Model(config.model, space, occupancy, config.seed, device)
 
 
-def fit(scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda status: None) -> Model:
+def fit(
+    scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda status: None, device: str = "cpu"
+) -> Model:
     """Train until the budget is spent, or go on where the run's checkpoint left off.
 
     Checkpoints are written every SAVE_EVERY_S seconds, at the end, and when interrupted; metrics.jsonl gets a line
     every LOG_EVERY steps.
     """
-    model = start(scene, config)
+    model = start(scene, config, device)
     optimiser = Optimiser(config.optimiser, model.parameters(), model.copies())
     done = resume(run, model, optimiser)
     rules = replace(config.losses, distortion=config.losses.distortion * model.family.distortion)
@@ -100,7 +102,8 @@ def fit(scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda sta
     try:
         while _progress(config, step, elapsed) < 1:
             progress = _progress(config, step, elapsed)
-            found = model.train(scene.draw(config.rays, config.seed, step), rules, (config.seed, step), progress)
+            rays = scene.draw(config.rays, config.seed, step).to(model.device)
+            found = model.train(rays, rules, (config.seed, step), progress)
             optimiser.step(progress)
             if step % OCCUPANCY_EVERY == 0:
                 model.occupancy.update(model.density, (config.seed, step))

@@ -81,9 +81,15 @@ class Model:
         proposal = FieldConfig(replace(PROPOSAL_GRID, tables=space.tables), NetworkConfig(width=16))
         self.proposals = [Field(proposal, device, seed + 1 + i) for i in range(len(self.family.proposals))]
 
+    @property
+    def device(self) -> torch.device:
+        """Where it lives."""
+        return self.field.device
+
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name."""
-        parts = {"field": self.field, "sky": self.sky} | {f"proposal{i}": p for i, p in enumerate(self.proposals)}
+        parts: dict[str, Field | Sky] = {"field": self.field, "sky": self.sky}
+        parts.update({f"proposal{i}": proposal for i, proposal in enumerate(self.proposals)})
         return {f"{part}.{name}": tensor for part, made in parts.items() for name, tensor in made.parameters().items()}
 
     def copies(self) -> dict[str, Tensor]:

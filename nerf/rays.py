@@ -24,6 +24,11 @@ class Rays:
     pixel: float = 0.0
     """Width of a pixel at a camera-z depth of 1: 1 / focal length in pixels; 0: rays are lines."""
 
+    def to(self, device: torch.device) -> "Rays":
+        """Return the rays on a device."""
+        rgb, depth_m, weight = (None if x is None else x.to(device) for x in (self.rgb, self.depth_m, self.weight))
+        return Rays(self.origins_m.to(device), self.directions.to(device), rgb, depth_m, weight, self.pixel)
+
     def __len__(self) -> int:
         return self.origins_m.shape[0]
 

@@ -105,7 +105,7 @@ def rebuild(kind: type[Made], record: dict[str, Any]) -> Made:
     for each in fields(kind):  # type: ignore[arg-type]
         value = record[each.name]
         nested = hints[each.name]
-        values[each.name] = rebuild(nested, value) if is_dataclass(nested) else value
+        values[each.name] = rebuild(nested, value) if isinstance(nested, type) and is_dataclass(nested) else value
     return kind(**values)
 
 
@@ -114,4 +114,4 @@ def _comparable(config: RunConfig) -> dict[str, Any]:
     record = json.loads(json.dumps(asdict(config)))
     for budget in ("steps", "seconds"):
         record["fit"].pop(budget)
-    return record  # type: ignore[no-any-return]
+    return record

@@ -17,7 +17,7 @@ def renderer(model: Model) -> Render:
     """Return the function that renders a model from a pose."""
 
     def render(T_world_cam: Matrix, camera: Camera) -> RenderedView:
-        rays = view_rays(camera, T_world_cam)
+        rays = view_rays(camera, T_world_cam).to(model.device)
         pieces = [model.look(_part(rays, first)) for first in range(0, len(rays), PIECE)]
         height, width = camera.size
 

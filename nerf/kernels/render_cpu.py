@@ -11,7 +11,8 @@ from nerf.samples import Samples
 def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
     """Composite; see nerf.render.render."""
     rays = len(samples.offsets) - 1
-    out = Rendered(torch.empty(rays, 3), *(torch.empty(rays) for _ in range(3)), torch.empty_like(sigma))
+    each = torch.empty(3, rays)
+    out = Rendered(torch.empty(rays, 3), each[0], each[1], each[2], torch.empty_like(sigma))
     filled = (out.rgb, out.depth_m, out.median_m, out.transmittance, out.weights)
     arrays = (samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky)
     composite.forward(*map(_view, arrays), OPACITY_FLOOR, *map(_view, filled))
