@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 import tyro
 from rich.box import SIMPLE_HEAD
+from rich.markup import escape
 from rich.table import Table
 
 from cli.arguments import DriveArguments, parse
@@ -55,7 +56,7 @@ def run(arguments: list[str]) -> int:
     with progress(args.method, len(plan.todo)) as step:
         report = build.build(drive, prior, method, args.filters, plan, args.workers, step)
     for frame_id, error in sorted(report.failed.items()):
-        err.print(f"[bold red]frame {frame_id}:[/] {error}", highlight=False)
+        err.print(f"[bold red]frame {frame_id}:[/] {escape(error)}")
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0

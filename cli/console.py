@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from eval.protocol import ScoreError
@@ -24,7 +25,7 @@ def guarded(command: Callable[[], int]) -> int:
     try:
         return command()
     except (DataError, ScoreError) as error:
-        err.print(f"[bold red]error:[/] {_escape(str(error))}")
+        err.print(f"[bold red]error:[/] {escape(str(error))}")
         return DATA_ERROR
     except KeyboardInterrupt:
         err.print("interrupted: what was finished is kept; run the same command again to go on")
@@ -32,14 +33,8 @@ def guarded(command: Callable[[], int]) -> int:
     except BrokenPipeError:
         return 0
     except OSError as error:
-        err.print(f"[bold red]error:[/] {_escape(str(error.filename or 'file system'))}: {error.strerror}")
+        err.print(f"[bold red]error:[/] {escape(str(error.filename or 'file system'))}: {error.strerror}")
         return DATA_ERROR
-
-
-def _escape(text: str) -> str:
-    from rich.markup import escape
-
-    return escape(text)
 
 
 def _refuse_foreign_eval() -> None:

@@ -8,12 +8,13 @@ from typing import Annotated, Literal
 
 import numpy as np
 import tyro
+from rich.markup import escape
 
 from cli.arguments import drive_key, parse
-from cli.console import out, progress
+from cli.console import DATA_ERROR, err, out, progress
 from eval import table
 from eval.curves import Metric, Samples, best, collect, curves
-from eval.protocol import PRESETS, Protocol, preset
+from eval.protocol import PRESETS, Protocol, ScoreError, preset
 from eval.result import Result, Scored, score
 from priors import cache, codecs
 from priors.build import select
@@ -77,9 +78,20 @@ def run(arguments: list[str]) -> int:
     several = len(drives) + bool(files) > 1
     if files:
         _report([Result.load(path) for path in files], args, several)
-    for together in drives:
-        _report(_score_drive(together, args, several), args, several)
-    return 0
+    failed = [together for together in drives if not _try_drive(together, args, several)]
+    return DATA_ERROR if failed else 0
+
+
+def _try_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> bool:
+    """Score and print one drive; where it cannot be scored and there are others, say why and go on."""
+    try:
+        _report(_score_drive(priors, args, several), args, several)
+    except (DataError, ScoreError) as error:
+        if not several:
+            raise
+        err.print(f"[bold red]{priors[0].folder.parent}:[/] {escape(str(error))}")
+        return False
+    return True
 
 
 def _with_maps(path: Path) -> list[Prior]:

@@ -82,6 +82,8 @@ def compare(frame: Frame, rows: Sequence[tuple[str, Depth]], width: int) -> Imag
     tiles = [Tile(image, f"frame {frame.id}"), dark, dark]
     if truth is not None:
         tiles[1] = picture.depth_tile(truth, "truth")
+    if frame.has("other"):
+        tiles[2] = Tile(picture.as_rgb(frame.other()), "the pair's other image")
     for name, depth in rows:
         tiles.append(picture.depth_tile(depth, name))
         tiles.append(dark if truth is None else picture.error_tile(depth, truth))

@@ -140,6 +140,7 @@ def test_check_finds_the_street_sound(street: Path, tmp_path: Path) -> None:
     assert len(text.splitlines()) >= 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kill", [signal.SIGKILL, signal.SIGINT])
 def test_a_killed_build_resumes(street: Path, built: Path, tmp_path: Path, kill: signal.Signals) -> None:
     command = [str(PRIORS), "build", str(street), "--method", "stereo", "--workers", "1"]
@@ -162,6 +163,7 @@ def test_a_killed_build_resumes(street: Path, built: Path, tmp_path: Path, kill:
         np.testing.assert_array_equal(cv2.imread(path, -1), cv2.imread(str(whole), -1))
 
 
+@pytest.mark.slow
 def test_shards_make_what_one_build_makes(street: Path, built: Path, tmp_path: Path) -> None:
     for part in (1, 2):
         succeed("build", street, "--method", "lidar", "--shard", f"{part}/2", "--workers", 3, cwd=tmp_path)
@@ -200,6 +202,7 @@ def resized_image(drive: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("damage", "method"),
     [

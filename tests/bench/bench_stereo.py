@@ -1,7 +1,6 @@
 """Stereo against OpenCV's matcher: time in one interleaved run, accuracy, and both sparsification curves.
 
-python tests/bench/bench_stereo.py --data ../shared/data/kitti_raw/2011_09_26/2011_09_26_drive_0001_sync \
-    --truth ../shared/data/kitti_depth
+python tests/bench/bench_stereo.py [--data DRIVE] [--truth DIR]
 """
 
 import argparse
@@ -22,6 +21,9 @@ from priors.types import Depth, Frame
 
 SHARES = (1.0, 0.9228, 0.8, 0.6, 0.4, 0.2)
 Row = npt.NDArray[np.float64]
+
+SHARED = Path(__file__).resolve().parents[3] / "shared"
+DRIVE = SHARED / "data/kitti_raw/2011_09_26/2011_09_26_drive_0001_sync"
 
 
 def three_way(frame: Frame) -> Depth:
@@ -60,7 +62,7 @@ def figures(error_m: Row, true_m: Row) -> list[float]:
 def main() -> None:
     """Print the ratio of times, and the accuracy where the drive has truth."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, required=True)
+    parser.add_argument("--data", type=Path, default=DRIVE)
     parser.add_argument("--truth", type=Path)
     parser.add_argument("--rounds", type=int, default=3)
     options = parser.parse_args()
