@@ -63,6 +63,7 @@ def held_out(scene: Scene, run: Path) -> tuple[float, float]:
     return float(psnr), float(np.mean(np.abs(view.depth_m - truth_m)[seen] / truth_m[seen]))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("family", fields.names())
 def test_every_family_learns_colour_and_depth(tmp_path: Path, family: str) -> None:
     scene = corridor()
@@ -75,6 +76,7 @@ def test_every_family_learns_colour_and_depth(tmp_path: Path, family: str) -> No
     assert seen[-1].progress == 1
 
 
+@pytest.mark.slow
 def test_a_prior_helps_where_views_are_few(tmp_path: Path) -> None:
     for prior in (True, False):
         fit(corridor("4", prior), config(150), tmp_path / str(prior))

@@ -133,6 +133,14 @@ def test_a_map_without_any_value_is_as_good_as_no_prior() -> None:
     assert torch.equal(blank.kept, Occupancy.carve(space("ball"), scene(None), 32).kept)
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -1.0])
+def test_values_that_are_no_depth_count_as_none(bad: float) -> None:
+    holes, spoilt = DENSE.copy(), DENSE.copy()
+    holes[:, :10, :20], spoilt[:, :10, :20] = 0, bad
+    one, other = (Occupancy.carve(space("ball"), scene(depth_m), 32) for depth_m in (holes, spoilt))
+    assert torch.equal(one.kept, other.kept)
+
+
 def test_one_views_outliers_are_voted_down() -> None:
     # 5 training views are too few for a tenth: 18 are not.
     drive = scene(None)

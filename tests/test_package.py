@@ -21,32 +21,43 @@ def wheel_names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 def test_the_wheel_holds_our_packages_only(wheel_names: list[str]) -> None:
     tops = {name.split("/")[0] for name in wheel_names}
-    assert {top for top in tops if not top.endswith(".dist-info")} == {"priors", "eval", "cli"}
+    assert {top for top in tops if not top.endswith(".dist-info")} == {"priors", "eval", "nerf", "cli"}
 
 
 def test_the_wheel_holds_every_module(wheel_names: list[str]) -> None:
-    modules = {str(p.relative_to(ROOT)) for top in ("priors", "eval", "cli") for p in (ROOT / top).rglob("*.py")}
+    modules = {
+        str(p.relative_to(ROOT)) for top in ("priors", "eval", "nerf", "cli") for p in (ROOT / top).rglob("*.py")
+    }
     assert modules <= set(wheel_names)
 
 
-def test_nothing_needs_open3d_or_torch() -> None:
-    """Import every module with the heavy packages barred: the main path runs without their system libraries."""
+def import_all(barred: str, packages: str) -> None:
+    """Import every module of packages with others barred."""
     code = (
         "import sys, pkgutil, importlib\n"
-        "for name in ('open3d', 'torch', 'onnxruntime', 'matplotlib'): sys.modules[name] = None\n"
-        "import priors, eval, cli\n"
-        "for package in (priors, eval, cli):\n"
-        "    for module in pkgutil.walk_packages(package.__path__, package.__name__ + '.'):\n"
-        "        importlib.import_module(module.name)\n"
+        f"for name in {barred.split()}: sys.modules[name] = None\n"
+        f"for name in {packages.split()}:\n"
+        "    package = importlib.import_module(name)\n"
+        "    for module in pkgutil.walk_packages(package.__path__, name + '.'):\n"
+        "        if 'triton' not in module.name: importlib.import_module(module.name)\n"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
+
+
+def test_nothing_needs_open3d() -> None:
+    """The main path runs without the system libraries that open3d wants."""
+    import_all("open3d onnxruntime matplotlib triton", "priors eval nerf cli")
+
+
+def test_depth_maps_need_no_torch() -> None:
+    import_all("open3d torch onnxruntime matplotlib", "priors eval")
 
 
 def test_help_imports_no_compiler() -> None:
     """Numba costs half a second to import: no command's --help may pay it."""
     code = (
-        "import sys\nfrom cli.priors import run\n"
-        "try: run(['build', '--help'])\nexcept SystemExit: pass\n"
+        "import sys\nfrom cli.priors import PROGRAM\n"
+        "try: PROGRAM.run(['build', '--help'])\nexcept SystemExit: pass\n"
         "print([m for m in ('numba', 'scipy', 'embreex') if m in sys.modules], file=sys.stderr)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, capture_output=True, text=True)
