@@ -128,6 +128,7 @@ def build(
     if not plan_.todo:
         return Report(prior, plan_, failed=dict(plan_.failed))
     cache.create(prior.folder.parent.parent, prior.manifest)
+    prior.drop_stale()
     report = Report(prior, plan_, failed=dict(plan_.failed))
     writing = threading.Lock()
 

@@ -1,6 +1,7 @@
 """The cache: keys, what counts as done, what is refused."""
 
 import json
+import os
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,20 @@ def test_stray_temporary_files_are_no_frames(tmp_path: Path) -> None:
     prior.write("0", some_depth(), seconds=0.1)
     (prior.folder / "depth" / ".1.123.abcd.png").write_bytes(b"half")
     assert prior.ids() == ["0"]
+
+
+def test_what_a_kill_left_behind_is_dropped_when_it_is_old(tmp_path: Path) -> None:
+    prior = cache.create(tmp_path, manifest())
+    prior.write("0", some_depth(), seconds=0.1)
+    old, new = (prior.folder / "depth" / f".{name}.1.ab.png" for name in ("old", "new"))
+    for path in (old, new):
+        path.write_bytes(b"half")
+    os.utime(old, (0, 0))
+    os.utime(prior.depth_path("0"), (0, 0))
+    prior.drop_stale()
+    assert not old.exists()
+    assert new.exists(), "another machine may be writing it"
+    assert prior.has("0")
 
 
 def test_a_line_cut_off_by_a_kill_is_left_out(tmp_path: Path) -> None:

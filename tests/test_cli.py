@@ -67,7 +67,7 @@ def drive_folder(street: Path) -> Path:
 
 
 def stamps(folder: Path) -> dict[str, int]:
-    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("depth/*.png")}
+    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("depth/[!.]*.png")}
 
 
 def test_all_methods_are_built_and_scored_in_one_table(built: Path) -> None:
