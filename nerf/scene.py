@@ -81,10 +81,12 @@ class Scene:
         stride = max(1, round(len(self.train) * directions[..., 0].size / most))
         found = []
         for position in self.train:
-            depth_m = self.depth_m[position].reshape(-1)[position % stride :: stride]
-            camera = directions.reshape(-1, 3)[position % stride :: stride] * depth_m[:, None]
+            thinned = slice(position % stride, None, stride)
+            depth_m = self.depth_m[position].reshape(-1)[thinned]
+            known = (depth_m > 0) & np.isfinite(depth_m)
+            camera = directions.reshape(-1, 3)[thinned][known] * depth_m[known, None]
             pose = self.T_world_cam[position]
-            found.append((camera[depth_m > 0] @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
+            found.append((camera @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
         return np.concatenate(found)
 
 
