@@ -150,7 +150,7 @@ class Occupancy:
         near, far = np.float32(self.space.near_m), np.float32(self.space.far_m)
         depth_m = np.zeros(len(pixels), np.float32)
         if scene.depth_m is not None:
-            depth_m = scene.depth_m[position].reshape(-1)[pixels]
+            depth_m = np.nan_to_num(scene.depth_m[position].reshape(-1)[pixels], posinf=0, neginf=0)
         first_m = np.where(depth_m > 0, np.clip(depth_m * np.float32(begin), near, far), near)
         last_m = np.where(depth_m > 0, np.clip(depth_m * np.float32(min(end, 1e3)), near, far), far)
         origins = origin.expand_as(directions).contiguous()
@@ -187,7 +187,7 @@ def _parted(scene: Scene, position: int) -> tuple[npt.NDArray[np.int64], npt.NDA
     blind[::stride, ::stride] = True
     if scene.depth_m is None:
         return np.zeros(0, np.int64), np.flatnonzero(blind)
-    valid = scene.depth_m[position] > 0
+    valid = (scene.depth_m[position] > 0) & np.isfinite(scene.depth_m[position])
     seen = np.flatnonzero(valid)
     if len(seen):
         # The window holds about a dozen values where they are spread evenly.
