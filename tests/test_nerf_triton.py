@@ -17,7 +17,7 @@ from nerf.render import Gradients
 from nerf.twin.field import Layers
 from tests.test_nerf_render import make
 
-pytestmark = pytest.mark.skipif(find_spec("triton") is None, reason="no triton: pip install 'roadprior[gpu-test]'")
+pytestmark = pytest.mark.skipif(find_spec("triton") is None, reason="no triton: pip install 'roadprior[dev]'")
 LEAST_SHARED = 99 << 10
 """Shared memory that a program may ask for on the smallest of the GPUs with bfloat16 products, bytes."""
 
