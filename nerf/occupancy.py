@@ -37,11 +37,11 @@ AGREED = 0.1
 """Share of the votes for a cell above which it is kept; a tenth: thin things are mostly looked past."""
 RAYS_PER_RADIAN = 96
 """How densely views are traced; a cell of the ball with 128 of them an axis is about three times as wide."""
-THIN = 0.01
+THIN = 0.03
 """Optical thickness of a cell below which it is taken to be empty."""
-DECAY = 0.9
+DECAY = 0.7
 """What a cell's thickness is multiplied with each time it is looked at, before the new one is compared."""
-WARM_UP = 256
+WARM_UP = 64
 """Steps before anything is pruned."""
 _STREAM = 3
 
