@@ -38,6 +38,11 @@ def drive_key(prior: Prior) -> tuple[str, ...]:
     return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
 
 
+def reopen_drive(prior: Prior, truth: Path | None) -> Drive:
+    """Open the drive that a prior was made for; `truth` names its depth maps where the build was not told."""
+    return drives.reopen(prior.drive if truth is None else {**prior.drive, "truth": str(truth)})
+
+
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:
     """Parse a command's arguments into its dataclass; --help shows its examples first."""
     return tyro.cli(kind, prog=command, description=examples, args=arguments)

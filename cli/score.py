@@ -10,7 +10,7 @@ import numpy as np
 import tyro
 from rich.markup import escape
 
-from cli.arguments import drive_key, parse
+from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from eval import table
 from eval.curves import Metric, Samples, best, collect, curves
@@ -19,7 +19,6 @@ from eval.result import Result, Scored, score
 from priors import cache, codecs
 from priors.build import select
 from priors.cache import Prior
-from priors.drives import reopen
 from priors.errors import DataError
 from priors.labels import labels
 from priors.plot import Line, plot
@@ -115,8 +114,7 @@ def _protocol(args: ScoreArguments) -> Protocol:
 
 def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> list[Result]:
     """Score the priors of one drive."""
-    truth = {} if args.truth is None else {"truth": str(args.truth)}
-    drive = reopen({**priors[0].drive, **truth})
+    drive = reopen_drive(priors[0], args.truth)
     reference = None if args.against is None else cache.only(args.against)
     protocol = _protocol(args)
     results, drawn = [], []

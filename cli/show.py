@@ -8,12 +8,11 @@ from typing import Annotated
 
 import tyro
 
-from cli.arguments import drive_key, parse
+from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import out, progress
 from priors import cache, codecs, picture
 from priors.build import select
 from priors.cache import Prior
-from priors.drives import reopen
 from priors.errors import DataError
 from priors.labels import labels
 from priors.picture import Tile
@@ -55,8 +54,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
-    truth = {} if args.truth is None else {"truth": str(args.truth)}
-    drive = reopen({**priors[0].drive, **truth})
+    drive = reopen_drive(priors[0], args.truth)
     cached = {id_ for prior in priors for id_ in prior.ids()}
     chosen = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
     if not chosen:

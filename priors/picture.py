@@ -15,14 +15,12 @@ from priors.colours import (
     ERROR_STEPS,
     FARTHEST_M,
     GOOD_TO_BAD,
-    NEAR_TO_FAR,
     NEAREST_M,
     Colour,
     Table,
     colour_confidence,
     colour_depth,
     colour_error,
-    colour_signed_error,
     thicken,
 )
 from priors.types import Depth, Image, Mask
@@ -72,11 +70,6 @@ def error_bar() -> Bar:
     )
 
 
-def signed_error_bar() -> Bar:
-    """Make the bar of `colour_signed_error`."""
-    return Bar(NEAR_TO_FAR, [(0.0, "near -32%"), (0.5, "0"), (1.0, "far +32%")])
-
-
 CONFIDENCE_BAR = Bar(CONFIDENCE_COLOURS, [(0.0, "0"), (0.5, "0.5"), (1.0, "1")])
 
 
@@ -97,11 +90,6 @@ def error_tile(depth: Depth, truth: Depth) -> Tile:
         errors = thicken(np.where(missing[..., None], np.uint8(0), picture))
         picture = np.where(errors.any(axis=2, keepdims=True), errors, picture)
     return Tile(thicken(picture), caption, error_bar())
-
-
-def signed_error_tile(depth: Depth, truth: Depth) -> Tile:
-    """Make the tile that tells too near from too far."""
-    return Tile(thicken(colour_signed_error(depth.depth_m, truth.depth_m)), "signed error", signed_error_bar())
 
 
 def confidence_tile(depth: Depth) -> Tile:
