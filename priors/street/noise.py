@@ -37,7 +37,7 @@ def band(uv_m: Floats, wave_m: float, key: Floats, number: int = 0) -> Floats:
 def sample(u: Floats, v: Floats) -> Floats:
     """Read the tile at (n,) texel places, bilinear, wrapping."""
     n, width = len(u), 1024
-    rows = -(-n // width)
+    rows = max(1, -(-n // width))  # remap refuses an empty map
     maps = np.zeros((2, rows * width), np.float32)
     for row, place in zip(maps, (u, v), strict=True):
         turns = place * np.float32(1 / SIDE)
