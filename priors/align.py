@@ -1,0 +1,98 @@
+"""Scale, or scale and shift, of a depth prior to depths that are known: LiDAR, a sparse map, stereo.
+
+A network that saw one image knows the shape of a scene better than its size. What it leaves open is fitted to known
+depths z: in depth, z = a v + b, or in disparity, 1 / z = a v + b with v the network's disparity or one over its depth.
+Minimised is the relative error, so that near and far count alike, and of what is off by far nothing (Tukey's biweight).
+"""
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from priors.errors import DataError
+from priors.types import FloatMap
+
+Floats: TypeAlias = npt.NDArray[np.float64]
+Kind: TypeAlias = Literal["scale", "scale-shift"]
+Space: TypeAlias = Literal["depth", "disparity"]
+
+PAIRS, JUDGES = 400, 2000  # lines through two samples that are tried, and samples that judge them
+ROUNDS = 20
+BIWEIGHT = 4.685  # 95 % efficiency where the noise is Gaussian
+SHARPEST = 1e-7  # of a relative error: below it lies rounding
+FEWEST = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """The line that turns a network's values into depth."""
+
+    scale: float
+    shift: float
+    """Metres in depth, 1/m in disparity."""
+    space: Space
+
+    def apply(self, values: FloatMap) -> FloatMap:
+        """Turn values (height, width) of this space into metres; 0 where there is no value or no surface is so far."""
+        line = np.float64(self.scale) * values + self.shift
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            depth_m = (line if self.space == "depth" else 1 / line).astype(np.float32)
+        return np.where((values > 0) & (line > 0) & np.isfinite(depth_m), depth_m, np.float32(0))
+
+
+def fit(values: FloatMap, known_m: FloatMap, kind: Kind, space: Space) -> Alignment:
+    """Fit the line to the samples that have a value and a known depth (any equal shapes; 0 or not finite = none).
+
+    With two samples or fewer, or equal values everywhere, a shift cannot be told and only the scale is fitted; likewise
+    where the best line falls (far would be near).
+
+    Raises DataError where no sample has both.
+    """
+    values, known_m = np.ravel(values).astype(np.float64), np.ravel(known_m).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        both = np.isfinite(values) & np.isfinite(known_m) & (values > 0) & (known_m > 0)
+    v, y = values[both], known_m[both] if space == "depth" else 1 / known_m[both]
+    if not len(v):
+        raise DataError("nothing to align to: no pixel has both a value and a known depth")
+    v = v / y  # a v + b against y, as a share of y
+    if kind == "scale-shift" and len(v) > FEWEST:
+        start = _start_line(v, 1 / y)
+        line = np.zeros(2) if start is None else _settle(np.stack([v, 1 / y], axis=1), start)
+        if line[0] > 0:
+            return Alignment(float(line[0]), float(line[1]), space)
+    (scale,) = _settle(v[:, None], np.array([1 / np.median(v)]))
+    return Alignment(float(scale), 0.0, space)
+
+
+def _start_line(v: Floats, one: Floats) -> Floats | None:
+    """Return the line a v + b * one = 1 through two samples whose median error is least (Rousseeuw, 1984)."""
+    rng = np.random.default_rng(0)
+    first, second = rng.integers(0, len(v), (2, PAIRS))
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        # Cramer's rule on a v1 + b o1 = 1, a v2 + b o2 = 1
+        determinant = v[first] * one[second] - v[second] * one[first]
+        a = (one[second] - one[first]) / determinant
+        b = (v[first] - v[second]) / determinant
+    usable = np.isfinite(a) & np.isfinite(b)
+    if not usable.any():
+        return None
+    a, b = a[usable], b[usable]
+    judges = rng.permutation(len(v))[:JUDGES]
+    errors = np.abs(a[:, None] * v[judges] + b[:, None] * one[judges] - 1)
+    best = int(np.argmin(np.median(errors, axis=1)))
+    return np.array([a[best], b[best]])
+
+
+def _settle(columns: Floats, line: Floats) -> Floats:
+    """Refine columns (n, k) @ line = 1 by least squares, reweighted by Tukey's biweight of each sample's error."""
+    for _ in range(ROUNDS):
+        error = columns @ line - 1
+        spread = max(1.4826 * float(np.median(np.abs(error))), SHARPEST)
+        weight = np.clip(1 - (error / (BIWEIGHT * spread)) ** 2, 0, None)  # its square root: 1 - (e / c)^2
+        settled, *_ = np.linalg.lstsq(columns * weight[:, None], weight, rcond=None)
+        if np.allclose(settled, line, rtol=1e-9, atol=0):
+            break
+        line = settled
+    return line
