@@ -1,0 +1,1 @@
+"""The networks: one file each on one shared trunk; runtime.py runs them, weights.py finds what they learned."""

@@ -1,0 +1,59 @@
+"""Building blocks: dense 3x3 convolutions with batch normalisation, which folds away before inference.
+
+Dense convolutions are what CPUs with matrix units do at 250 to 1500 GMAC/s; depthwise ones and other normalisations
+run at a tenth of that (docs/benchmarks.md).
+"""
+
+from typing import TypeVar
+
+import torch
+from torch import Tensor, nn
+from torch.nn.utils.fusion import fuse_conv_bn_eval
+
+Net = TypeVar("Net", bound=nn.Module)
+
+
+def conv(inputs: int, outputs: int, kernel: int = 3, stride: int = 1, dilation: int = 1) -> nn.Sequential:
+    """Return convolution, batch normalisation, ReLU over (b, inputs, h, w)."""
+    padding = dilation * (kernel // 2)
+    layer = nn.Conv2d(inputs, outputs, kernel, stride, padding, dilation, bias=False)
+    return nn.Sequential(layer, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
+
+
+def conv3d(inputs: int, outputs: int, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    """Return convolution, batch normalisation, ReLU over (b, inputs, planes, h, w)."""
+    layer = nn.Conv3d(inputs, outputs, kernel, stride, kernel // 2, bias=False)
+    return nn.Sequential(layer, nn.BatchNorm3d(outputs), nn.ReLU(inplace=True))
+
+
+class Residual(nn.Module):
+    """Two 3x3 convolutions around a skip: (b, channels, h, w) in and out."""
+
+    def __init__(self, channels: int, dilation: int = 1) -> None:
+        super().__init__()
+        self.first = conv(channels, channels, dilation=dilation)
+        second = conv(channels, channels, dilation=dilation)
+        self.second = nn.Sequential(second[0], second[1])
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Add what the convolutions find."""
+        return torch.relu(x + self.second(self.first(x)))
+
+
+def fold(net: Net) -> Net:
+    """Merge every batch normalisation into the convolution before it, in place; the network must be in eval mode.
+
+    The result computes the same up to rounding, and cannot be trained further.
+    """
+    for module in net.modules():
+        if isinstance(module, nn.Sequential):
+            _fold_sequence(module)
+    return net
+
+
+def _fold_sequence(sequence: nn.Sequential) -> None:
+    for index in range(len(sequence) - 1):
+        layer, norm = sequence[index], sequence[index + 1]
+        if isinstance(layer, nn.Conv2d | nn.Conv3d) and isinstance(norm, nn.BatchNorm2d | nn.BatchNorm3d):
+            sequence[index] = fuse_conv_bn_eval(layer, norm)
+            sequence[index + 1] = nn.Identity()
