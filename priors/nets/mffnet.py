@@ -6,15 +6,17 @@ predict. What MFFNet spends elsewhere (122 M parameters, full-size layers, a lea
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from priors.errors import DataError
 from priors.nets.blocks import Residual, conv
 from priors.nets.trunk import normalise, pad
 
-CHANNELS = (24, 48, 64, 96, 128)
+SIZES: dict[str, tuple[int, ...]] = {"s": (16, 32, 48, 64, 96), "m": (16, 48, 64, 96, 128)}
 """Channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the image."""
 LARGEST_CHANGE = 3.0
 """The correction's bound, in e-folds of depth: 20 times nearer or farther."""
@@ -37,18 +39,18 @@ class Completed:
 class MffNet(nn.Module):
     """Corrects a filled depth map with the image and the samples that it was filled from."""
 
-    def __init__(self, channels: tuple[int, ...] = CHANNELS) -> None:
+    def __init__(self, channels: tuple[int, ...] = SIZES["m"]) -> None:
         super().__init__()
         self.channels = channels
         finest = channels[0]
         self.image_stem, self.depth_stem = _stem(3, finest), _stem(4, finest)
-        steps = list(zip(channels[:-1], channels[1:], strict=True))
+        steps = list(pairwise(channels))
         self.image_down = nn.ModuleList(nn.Sequential(conv(a, b, stride=2), Residual(b)) for a, b in steps)
         self.depth_down = nn.ModuleList(nn.Sequential(conv(a, b, stride=2), Residual(b)) for a, b in steps)
-        self.fuse = nn.ModuleList(Fuse(c) for c in channels)
+        self.fuse = nn.ModuleList(Fuse(c) for c in channels[1:])
         self.lower = nn.ModuleList(conv(b, a, 1) for a, b in steps)
-        self.up = nn.ModuleList(conv(3 * a, a) for a in channels[:-1])
-        self.ladder = nn.ModuleList(conv(a + b // 4, a) for a, b in steps)
+        self.up = nn.ModuleList(conv((3 if a == finest else 2) * a, a) for a in channels[:-1])
+        self.ladder = nn.ModuleList(conv((2 if a == finest else 1) * a + b // 4, a) for a, b in steps)
         self.heads = nn.ModuleList([_head(finest), _head(finest)])
 
     def forward(self, image: Tensor, fill_m: Tensor, certain: Tensor, sparse_m: Tensor) -> Completed:
@@ -64,7 +66,7 @@ class MffNet(nn.Module):
             Depth within e^LARGEST_CHANGE of the pre-fill's, and its expected error.
         """
         height, width = image.shape[-2:]
-        kind = self.heads[0][-1].weight.dtype
+        kind = next(self.parameters()).dtype
         log_fill = fill_m.float().log()
         mean = log_fill.mean(dim=(1, 2), keepdim=True)
         there = sparse_m > 0
@@ -87,7 +89,7 @@ class MffNet(nn.Module):
 
     def _encode(self, image: Tensor, depth: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return both modalities' features at every scale, finest first, channels exchanged."""
-        seen, measured = exchange(self.image_stem(image), self.depth_stem(depth))
+        seen, measured = self.image_stem(image), self.depth_stem(depth)
         images, depths = [seen], [measured]
         for image_down, depth_down in zip(self.image_down, self.depth_down, strict=True):
             seen, measured = exchange(image_down(seen), depth_down(measured))
@@ -96,13 +98,18 @@ class MffNet(nn.Module):
         return images, depths
 
     def _decode(self, images: list[Tensor], depths: list[Tensor]) -> tuple[Tensor, Tensor]:
-        """Return both branches' outputs at 1/2: 4 changes, 4 scales and 4 mixing weights for 2x2 pixels, (b, 12, ...)."""
-        fused = [fuse(a, b) for fuse, a, b in zip(self.fuse, images, depths, strict=True)]
+        """Return both branches' outputs (b, 12, h/2, w/2): changes, scales and mixing weights of 2x2 pixels each."""
+        fused = [fuse(a, b) for fuse, a, b in zip(self.fuse, images[1:], depths[1:], strict=True)]
         first = second = fused[-1]
         for level in range(len(self.channels) - 2, -1, -1):
             above = F.interpolate(self.lower[level](first), scale_factor=2.0, mode="nearest")
-            first = self.up[level](torch.cat([above, depths[level], images[level]], dim=1))
-            second = self.ladder[level](torch.cat([F.pixel_shuffle(second, 2), fused[level]], dim=1))
+            climbed = F.pixel_shuffle(second, 2)
+            if level:
+                first = self.up[level](torch.cat([above, depths[level]], dim=1))
+                second = self.ladder[level](torch.cat([climbed, fused[level - 1]], dim=1))
+            else:  # a gate at 1/2 would cost as much as all the others
+                first = self.up[0](torch.cat([above, depths[0], images[0]], dim=1))
+                second = self.ladder[0](torch.cat([climbed, depths[0], images[0]], dim=1))
         return self.heads[0](first), self.heads[1](second)
 
 
@@ -139,3 +146,10 @@ def _head(channels: int) -> nn.Sequential:
     assert last.bias is not None
     nn.init.zeros_(last.bias)
     return nn.Sequential(conv(channels, channels), last)
+
+
+def create(size: str) -> MffNet:
+    """Make the network in a size of SIZES, with fresh weights; DataError for another size."""
+    if size not in SIZES:
+        raise DataError(f"mffnet has sizes {', '.join(SIZES)}, not {size}")
+    return MffNet(SIZES[size])
