@@ -70,9 +70,9 @@ def prepare(drive: Drive, method_name: str, method: Method, filters: Filters, fo
         "format": cache.FORMAT,
         "code": version("roadprior"),
         "method": method_name,
-        "config": asdict(method),  # type: ignore[call-overload]
+        "config": _record(method),
         "filters": filters.record(),
-        "weights": None,
+        "weights": _weights_digest(method),
         "fingerprint": drive.fingerprint(),
         "maps": _maps_digest(frame, {*method.reads, *filters.reads}),
         "camera": {"K": frame.camera.K.tolist(), "size": list(frame.camera.size), "baseline_m": frame.baseline_m},
@@ -212,6 +212,18 @@ def _first_readable(drive: Drive) -> Frame:
         except DataError as found:
             error = found
     raise error
+
+
+def _record(method: Method) -> dict[str, Any]:
+    """Return a method's fields; of a file only the name, since what it holds decides and not where it lies."""
+    fields: dict[str, Any] = asdict(method)  # type: ignore[call-overload]
+    return {name: value.name if isinstance(value, Path) else value for name, value in fields.items()}
+
+
+def _weights_digest(method: Method) -> str | None:
+    """Return the hash of a method's learned weights; None where it has none."""
+    offered: Callable[[], str | None] | None = getattr(method, "weights_digest", None)
+    return offered() if offered else None
 
 
 def _maps_digest(frame: Frame, reads: set[str]) -> str | None:

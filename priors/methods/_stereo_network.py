@@ -1,0 +1,121 @@
+"""Stereo by a network: what part of the pair it sees at what scale, and its confidence."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+
+import cv2
+import numpy as np
+from torch import Tensor
+
+from priors.nets import runtime, weights
+from priors.nets.confidence import Calibration
+from priors.nets.export import Graph, Graphs
+from priors.types import FloatMap, Image, Mask
+
+Run = Callable[[Tensor, Tensor, int], tuple[FloatMap, FloatMap, FloatMap]]
+
+STEP_PX = 32
+"""Networks search a multiple of this many disparities."""
+MOST_PIXELS, MOST_DISPARITY_PX = 1_500_000, 320
+"""Larger pairs are halved first, as often as needed: KITTI has 0.47 million pixels, Argoverse's pair 5 million."""
+LEAST_PX = 1e-3
+"""Disparities are at least this, so that every pixel has a value."""
+LEAST_CONTRAST = 2
+"""Grey levels: rows and columns that vary less than this in both views hold nothing to match."""
+_OPENING = threading.Lock()
+
+
+@dataclass(frozen=True, slots=True)
+class Network:
+    """A stereo network that is ready to run."""
+
+    run: Run
+    """Called with the pair (1, 3, h, w) and the disparities to search; returns disparity, sigma (px) and
+    doubt, each (h, w)."""
+    calibration: Calibration
+
+    def __call__(self, left: Image, right: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
+        """Return the left view's disparity, px, 0 = none, and the probability that it is within 1 px (height, width).
+
+        Of a pair that is halved, the pixel is one of the halved images.
+        """
+        shape = left.shape[:2]
+        disparity_px, confidence = np.zeros((2, *shape), np.float32)
+        part = busy(left, right)
+        left, right = left[part], right[part]
+        if min(left.shape[:2]) == 0:
+            return disparity_px, confidence
+        halvings = count_halvings(left.shape[:2], max_disparity_px)
+        small_left, small_right = shrink(left, halvings), shrink(right, halvings)
+        scale = left.shape[1] / small_left.shape[1]
+        largest_px = STEP_PX * -(-(int(max_disparity_px / scale) + 1) // STEP_PX)
+        found = self.run(runtime.as_input(small_left), runtime.as_input(small_right), largest_px)
+        trust = self.calibration(*found)
+        found_px = np.maximum(found[0], np.float32(LEAST_PX)) * np.float32(scale)
+        if halvings:
+            size = (left.shape[1], left.shape[0])
+            found_px, trust = (np.asarray(cv2.resize(map_, size), np.float32) for map_ in (found_px, trust))
+        disparity_px[part], confidence[part] = found_px, trust
+        return disparity_px, confidence
+
+
+def open_network(name: str, size: str, chosen: runtime.Runtime, file: Path | None) -> Network:
+    """Load a network, once a process; DataError where its weights are missing or damaged."""
+    path = weights.find(name, size, file)
+    with _OPENING:
+        return _open(name, size, chosen, path, weights.digest(path))
+
+
+@lru_cache(maxsize=4)
+def _open(name: str, size: str, chosen: runtime.Runtime, path: Path, _digest: str) -> Network:
+    if path.suffix == ".onnx":
+        graph = Graph(path)
+        return Network(lambda left, right, largest_px: graph(left, right), Calibration.read(graph.about))
+    ready = runtime.open_net(name, size, chosen, path)
+    calibration = Calibration.read(ready.about)
+    if chosen == "onnx":
+        return Network(Graphs(ready), calibration)
+
+    def run(left: Tensor, right: Tensor, largest_px: int) -> tuple[FloatMap, FloatMap, FloatMap]:
+        found = ready(left, right, largest_px=largest_px)
+        return runtime.as_map(found.disparity_px), runtime.as_map(found.sigma_px), runtime.as_map(found.doubt)
+
+    return Network(run, calibration)
+
+
+def busy(left: Image, right: Image) -> tuple[slice, slice]:
+    """Return the rows and columns between the empty borders that rectification leaves: (rows, columns).
+
+    Empty is what varies by less than two grey levels from its first to its last pixel in both views.
+    """
+    varies = [
+        np.ptp(view.reshape(*view.shape[:2], -1).max(axis=2), axis=axis) >= LEAST_CONTRAST
+        for axis in (1, 0)
+        for view in (left, right)
+    ]
+    return _span(varies[0] | varies[1]), _span(varies[2] | varies[3])
+
+
+def _span(mask: Mask) -> slice:
+    """Return the slice from the first to the last True; an empty one where there is none."""
+    found = np.flatnonzero(mask)
+    return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(0, 0)
+
+
+def count_halvings(size: tuple[int, int], max_disparity_px: int) -> int:
+    """Tell how often a pair (height, width) is halved before the network sees it."""
+    halvings = 0
+    while size[0] * size[1] > MOST_PIXELS * 4**halvings or max_disparity_px > MOST_DISPARITY_PX * 2**halvings:
+        halvings += 1
+    return halvings
+
+
+def shrink(image: Image, halvings: int) -> Image:
+    """Return the image halved so often, each pixel the mean of those it stands for; at least one pixel is left."""
+    if not halvings:
+        return image
+    height, width = (max(1, round(side / 2**halvings)) for side in image.shape[:2])
+    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)

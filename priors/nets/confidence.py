@@ -1,0 +1,154 @@
+"""From what a network says of itself to a confidence: the probability that its disparity is within 1 px.
+
+A network returns the spread of its matching distribution (sigma) and a logit of being wrong (doubt), both learned on
+its training data. How they relate to its errors is measured on data that it never saw (priors/learn/confidence.py) and
+kept in the header of its weights: a score, which is a weighted sum of the two and of cheap evidence, and a falling
+table from score to probability.
+"""
+
+from dataclasses import asdict, dataclass
+from itertools import pairwise
+from typing import Any, Self
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from priors.types import FloatMap
+
+SMALLEST_PX = 0.02
+"""What sigma and the disparity are at least, before their logarithm is taken."""
+STEEP = 3.0
+"""px per px: a steeper disparity counts as this steep."""
+RIDGE = 1.0
+TERMS = ("doubt", "log_sigma", "distance", "slope", "hidden")
+"""What the score is made of, see `evidence`."""
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """A score from evidence, and what share of pixels with that score was within 1 px."""
+
+    weights: tuple[float, ...]
+    """One per term."""
+    scores: tuple[float, ...]
+    """Rising knots."""
+    probabilities: tuple[float, ...]
+    """Falling, one a knot; linear in between, the last beyond."""
+
+    @classmethod
+    def read(cls, about: dict[str, Any]) -> Self:
+        """Take the calibration from the header of weights; where there is none the network is believed."""
+        found = about.get("calibration")
+        if found is None:
+            return cls.trusting()
+        return cls(*(tuple(map(float, found[name])) for name in ("weights", "scores", "probabilities")))
+
+    @classmethod
+    def trusting(cls) -> Self:
+        """Return the calibration that believes the network: its doubt is the logit of an error above 1 px."""
+        scores = np.linspace(-12.0, 12.0, 97)
+        return cls((1.0, 0.0, 0.0, 0.0, 0.0), tuple(scores.tolist()), tuple((1 / (1 + np.exp(scores))).tolist()))
+
+    def record(self) -> dict[str, Any]:
+        """Return what the header of the weights holds."""
+        return {name: [round(value, 5) for value in values] for name, values in asdict(self).items()}
+
+    def __call__(self, disparity_px: FloatMap, sigma_px: FloatMap, doubt: FloatMap) -> FloatMap:
+        """Return the probability (height, width) in [0, 1] that a left view's disparity is within 1 px."""
+        return self.probability(self.score(evidence(disparity_px, sigma_px, doubt)))
+
+    def score(self, terms: FloatMap) -> FloatMap:
+        """Return the score (...): higher is worse; terms is (5, ...)."""
+        return np.tensordot(np.asarray(self.weights, np.float32), terms, axes=1)
+
+    def probability(self, score: FloatMap) -> FloatMap:
+        """Return the probability of a score."""
+        return np.interp(score, self.scores, self.probabilities).astype(np.float32)
+
+
+def evidence(disparity_px: FloatMap, sigma_px: FloatMap, doubt: FloatMap) -> FloatMap:
+    """Return the terms of the score (5, height, width) for a left view's maps (height, width).
+
+    doubt: the network's logit of an error above 1 px; log_sigma: natural logarithm of sigma, px; distance: minus the
+    logarithm of the disparity, px; slope: horizontal step of the disparity, px per px, at most 3; hidden: 1 where the
+    right view does not reach, or something nearer stands before it there.
+    """
+    least = np.float32(SMALLEST_PX)
+    slope = np.abs(cv2.Sobel(disparity_px, cv2.CV_32F, 1, 0, scale=1 / 8))
+    terms = (
+        doubt,
+        np.log(np.maximum(sigma_px, least)),
+        -np.log(np.maximum(disparity_px, least)),
+        np.minimum(slope, np.float32(STEEP)),
+        is_hidden(disparity_px),
+    )
+    return np.stack([np.asarray(term, np.float32) for term in terms])
+
+
+def is_hidden(disparity_px: FloatMap) -> npt.NDArray[np.bool_]:
+    """Tell which pixels of a left view the right one cannot see: beyond its edge, or behind a nearer surface.
+
+    A surface to the right of a pixel hides it where it lands at the same column of the right view or further left.
+    """
+    lands = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
+    to_the_right = np.minimum.accumulate(lands[:, ::-1], axis=1)[:, ::-1]
+    nearest = np.full_like(lands, np.inf)
+    nearest[:, :-1] = to_the_right[:, 1:]
+    return (lands < 0) | (nearest <= lands - np.float32(0.5))
+
+
+def fit(terms: FloatMap, within: npt.NDArray[np.bool_], far: float = 0.0, knots: int = 40) -> Calibration:
+    """Fit a calibration: logistic regression for the score, then an isotonic table.
+
+    Args:
+        terms: (5, n) from `evidence`.
+        within: (n,) True where the error is at most 1 px.
+        far: weight of the distance, logits per factor e: how much a far pixel is to rank below a near one that is as
+            likely to be within 1 px. The probabilities are calibrated for any choice.
+        knots: entries of the table.
+    """
+    weights = _regress(terms, ~within, far)
+    score = np.tensordot(weights, terms, axes=1)
+    order = np.argsort(score)
+    edges = np.unique(np.linspace(0, score.size, knots + 1).astype(int))
+    bins = list(pairwise(edges))
+    middles = np.array([score[order[a:b]].mean() for a, b in bins])
+    shares = falling(np.array([within[order[a:b]].mean() for a, b in bins]), np.array([b - a for a, b in bins]))
+    return Calibration(tuple(map(float, weights)), tuple(map(float, middles)), tuple(map(float, shares)))
+
+
+def falling(values: npt.NDArray[np.float64], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
+    """Return the falling sequence nearest to values, weighted by counts (pool adjacent violators)."""
+    pools: list[list[float]] = []  # mean, weight, length
+    for value, count in zip(values, counts, strict=True):
+        pools.append([float(value), float(count), 1])
+        while len(pools) > 1 and pools[-2][0] < pools[-1][0]:
+            mean, weight, length = pools.pop()
+            last = pools[-1]
+            last[0] = (last[0] * last[1] + mean * weight) / (last[1] + weight)
+            last[1] += weight
+            last[2] += length
+    return np.concatenate([np.full(int(length), mean) for mean, _, length in pools])
+
+
+def miscalibration(confidence: FloatMap, within: npt.NDArray[np.bool_], bins: int = 15) -> float:
+    """Return the expected calibration error: mean gap of confidence and share over bins of equal count."""
+    order = np.argsort(confidence, kind="stable")
+    parts = [part for part in np.array_split(order, bins) if part.size]
+    gaps = [abs(float(confidence[part].mean()) - float(within[part].mean())) * part.size for part in parts]
+    return sum(gaps) / max(1, order.size)
+
+
+def _regress(terms: FloatMap, wrong: npt.NDArray[np.bool_], far: float, rounds: int = 25) -> FloatMap:
+    """Return the terms' weights, in logits: Newton's steps of a logistic regression with a small ridge."""
+    used = [index for index, name in enumerate(TERMS) if name != "distance"]
+    A = np.stack([*(terms[index].astype(np.float64) for index in used), np.ones(terms.shape[1])], axis=1)
+    w = np.zeros(A.shape[1])
+    for _ in range(rounds):
+        chance = 1 / (1 + np.exp(-np.clip(A @ w, -30, 30)))
+        curve = A * (chance * (1 - chance))[:, None]
+        w -= np.linalg.solve(A.T @ curve + RIDGE * np.eye(A.shape[1]), A.T @ (chance - wrong) + RIDGE * w)
+    weights = np.full(len(TERMS), far, np.float32)
+    weights[used] = w[:-1]
+    return weights

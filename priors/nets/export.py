@@ -1,0 +1,175 @@
+"""Stereo networks as ONNX files, and onnxruntime to run them.
+
+    python -m priors.nets.export --net cfnet --size m --image-size 1242x375 --max-disparity 192 --out cfnet-m.onnx
+
+A file holds one image size (rounded up to multiples of 32) and one disparity range: the volumes' shapes follow from
+them. `priors build --stereo.weights FILE.onnx` runs it on images that are no larger; `--stereo.runtime onnx` with
+ordinary weights makes the graphs it needs in memory.
+"""
+
+import json
+import threading
+import warnings
+from collections import OrderedDict
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from priors import codecs
+from priors.errors import DataError
+from priors.nets.runtime import Ready
+
+OPSET = 17
+OUTPUTS = ("disparity_px", "sigma_px", "doubt")
+KEPT = 2
+"""Graphs in memory: a drive has one image size and one or two disparity ranges."""
+EXTRA = "needs the packages onnx and onnxruntime: pip install 'roadprior[onnx]'"
+
+Floats = npt.NDArray[np.float32]
+
+
+class _Flat(nn.Module):
+    """The network with tensors for results and the disparity range fixed."""
+
+    def __init__(self, net: nn.Module, largest_px: int) -> None:
+        super().__init__()
+        self.net, self.largest_px = net, largest_px
+
+    def forward(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        found = self.net(left, right, self.largest_px)
+        return found.disparity_px, found.sigma_px, found.doubt
+
+
+def to_onnx(ready: Ready, size: tuple[int, int], largest_px: int) -> bytes:
+    """Turn a stereo network (made ready for onnx) into a graph.
+
+    Args:
+        ready: network and header; the header goes into the file.
+        size: (height, width) of the inputs left and right (1, 3, height, width), float32 in [0, 1].
+        largest_px: disparities searched, a multiple of 32.
+
+    Returns:
+        The file's bytes; outputs disparity_px, sigma_px and doubt (1, height, width).
+    """
+    try:
+        import onnx
+    except ImportError as error:
+        raise DataError(f"ONNX export {EXTRA}") from error
+    example = torch.rand(2, 1, 3, *size)
+    with torch.inference_mode(), warnings.catch_warnings(), TemporaryDirectory() as folder:
+        path = Path(folder) / "graph.onnx"
+        warnings.simplefilter("ignore")  # of shapes that become constants: that is what is wanted
+        torch.onnx.export(
+            _Flat(ready.net, largest_px).eval(),
+            (example[0], example[1]),
+            path,
+            input_names=["left", "right"],
+            output_names=list(OUTPUTS),
+            opset_version=OPSET,
+            dynamo=False,  # the other exporter needs one more package
+        )
+        model = onnx.load(path)
+    about = {**ready.about, "largest_px": largest_px}
+    onnx.helper.set_model_props(model, {"roadprior": json.dumps(about)})
+    return model.SerializeToString()
+
+
+class Graph:
+    """A stereo network in onnxruntime; threads share it."""
+
+    def __init__(self, model: bytes | Path) -> None:
+        try:
+            import onnxruntime
+        except ImportError as error:
+            raise DataError(f"runtime onnx {EXTRA}") from error
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = torch.get_num_threads()
+        options.log_severity_level = 3
+        source = str(model) if isinstance(model, Path) else model
+        try:
+            self.session = onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
+            self.about: dict[str, Any] = json.loads(self.session.get_modelmeta().custom_metadata_map["roadprior"])
+            _, _, *size = self.session.get_inputs()[0].shape
+            self.size = (int(size[0]), int(size[1]))
+        except Exception as error:  # onnxruntime has an exception of its own for every fault
+            raise DataError(
+                f"{model if isinstance(model, Path) else 'graph'}: no stereo network of ours: {error}"
+            ) from error
+        self.lock = threading.Lock()
+
+    def __call__(self, left: Tensor, right: Tensor) -> tuple[Floats, Floats, Floats]:
+        """Run on images (1, 3, h, w) no larger than the graph's; returns disparity, sigma (px), doubt, each (h, w)."""
+        height, width = left.shape[-2:]
+        extra = (0, self.size[1] - width, 0, self.size[0] - height)
+        if min(extra) < 0:
+            raise DataError(
+                f"the ONNX file is for images up to {self.size[1]}x{self.size[0]}, this one is {width}x{height}: "
+                "export it for this size"
+            )
+        feeds = {
+            name: np.ascontiguousarray(F.pad(image, extra, mode="replicate").numpy())
+            for name, image in (("left", left), ("right", right))
+        }
+        with self.lock:
+            disparity_px, sigma_px, doubt = (found[0, :height, :width] for found in self.session.run(OUTPUTS, feeds))
+        return disparity_px, sigma_px, doubt
+
+
+class Graphs:
+    """The graphs of one network, made when a new image size or range comes, the last few kept."""
+
+    def __init__(self, ready: Ready) -> None:
+        self.ready = ready
+        self.made: OrderedDict[tuple[int, int, int], Graph] = OrderedDict()
+        self.lock = threading.Lock()
+
+    def __call__(self, left: Tensor, right: Tensor, largest_px: int) -> tuple[Floats, Floats, Floats]:
+        """Run on a pair (1, 3, h, w); returns disparity, sigma (px) and doubt, each (h, w)."""
+        height, width = (-(-int(side) // 32) * 32 for side in left.shape[-2:])
+        with self.lock:
+            key = (height, width, largest_px)
+            if key not in self.made:
+                self.made[key] = Graph(to_onnx(self.ready, (height, width), largest_px))
+                while len(self.made) > KEPT:
+                    self.made.popitem(last=False)
+            self.made.move_to_end(key)
+            graph = self.made[key]
+        return graph(left, right)
+
+
+def main() -> None:
+    """Write an ONNX file."""
+    import tyro
+
+    tyro.cli(export, description=__doc__)
+
+
+def export(
+    net: str, size: str, out: Path, image_size: str = "1242x375", max_disparity: int = 192, weights: Path | None = None
+) -> None:
+    """Write a stereo network with its weights as an ONNX file.
+
+    Args:
+        net: cfnet or pcwnet.
+        size: s, m or l.
+        out: the file to write.
+        image_size: WIDTHxHEIGHT of the largest image it is for.
+        max_disparity: largest disparity it searches, pixels.
+        weights: your own safetensors file; default: what ships.
+    """
+    from priors.nets.runtime import open_net
+
+    ready = open_net(net, size, "onnx", weights)
+    width, height = (-(-int(side) // 32) * 32 for side in image_size.split("x"))
+    codecs.write_bytes(out, to_onnx(ready, (height, width), -(-max_disparity // 32) * 32))
+    Graph(out)  # it opens
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,135 @@
+"""Run networks: picks bf16, fp32, CUDA or onnxruntime from a table, loads each network once a process.
+
+What was measured on a 2-core machine with AMX (docs/benchmarks.md): weights cast to bf16 once and channels-last memory
+run dense convolutions 4 to 10 times as fast as fp32; onnxruntime runs as fast as fp32. Nothing is measured at run time.
+"""
+
+import threading
+from dataclasses import dataclass
+from functools import cache
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from priors.errors import DataError
+from priors.nets import weights
+from priors.nets.blocks import channels_last, fold
+from priors.types import Image
+
+Runtime = Literal["bf16", "fp32", "cuda", "onnx"]
+Asked = Literal["auto", "bf16", "fp32", "cuda", "onnx"]
+FAST_BF16 = ("amx_bf16", "avx512_bf16")
+"""CPU flags that make bf16 the fast path."""
+
+_LOADING, _FORWARD = threading.Lock(), threading.Lock()
+_loaded: dict[tuple[Any, ...], "Ready"] = {}
+
+
+def choose(asked: Asked, file: Path | None = None) -> Runtime:
+    """Decide 'auto': a file's own runtime, else CUDA where there is one, bf16 where the CPU has it, else fp32.
+
+    Raises DataError where what was asked for is not there.
+    """
+    is_onnx = file is not None and file.suffix == ".onnx"
+    if asked == "auto":
+        if is_onnx:
+            return "onnx"
+        if torch.cuda.is_available():
+            return "cuda"
+        return "bf16" if any(flag in cpu_flags() for flag in FAST_BF16) else "fp32"
+    if is_onnx and asked != "onnx":
+        raise DataError(f"{file}: an ONNX file runs with runtime onnx, not {asked}")
+    if asked == "cuda" and not torch.cuda.is_available():
+        raise DataError("runtime cuda: PyTorch sees no CUDA device here: choose auto")
+    return asked
+
+
+@cache
+def cpu_flags() -> frozenset[str]:
+    """Read the CPU's flags from /proc/cpuinfo; empty where there is no such file."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return frozenset()
+    return frozenset(next((line.split(":", 1)[1].split() for line in lines if line.startswith(("flags", "Feat"))), []))
+
+
+@dataclass(frozen=True, slots=True)
+class Ready:
+    """A network ready to run; threads share it, one runs at a time on all cores."""
+
+    net: nn.Module
+    runtime: Runtime
+    about: dict[str, Any]
+    """The header of its weights."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where inputs go."""
+        return torch.device("cuda" if self.runtime == "cuda" else "cpu")
+
+    def __call__(self, *inputs: Tensor, **more: Any) -> Any:
+        """Run forward without gradients; 4-dimensional inputs go in channels-last."""
+        with _FORWARD, torch.inference_mode():
+            return self.net(*(self._place(value) for value in inputs), **more)
+
+    def _place(self, value: Tensor) -> Tensor:
+        value = value.to(self.device)
+        return value.contiguous(memory_format=torch.channels_last) if value.dim() == 4 else value
+
+
+def make_ready(net: nn.Module, runtime: Runtime, about: dict[str, Any] | None = None) -> Ready:
+    """Fold, cast and lay out a network for a runtime, in place.
+
+    cuda runs in bf16 where the device has it. onnx keeps plain fp32: priors.nets.export turns that into a graph.
+    """
+    fold(net.eval()).requires_grad_(False)
+    if runtime == "bf16" or (runtime == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)):
+        net.to(torch.bfloat16)
+    if runtime == "cuda":
+        net.to("cuda")
+    if runtime != "onnx":
+        channels_last(net)
+    return Ready(net, runtime, about or {})
+
+
+def open_net(name: str, size: str, runtime: Runtime, file: Path | None = None) -> Ready:
+    """Load a network with its weights, once a process for each file and runtime.
+
+    Args:
+        name: its module in priors/nets.
+        size: s, m or l.
+        runtime: from `choose`.
+        file: the user's weights; None: what ships.
+    """
+    path = weights.find(name, size, file)
+    key = (name, size, runtime, weights.digest(path))
+    with _LOADING:
+        if key not in _loaded:
+            net = create(name, size)
+            found = weights.load(path)
+            weights.fill(net, found, name, size)
+            _loaded[key] = make_ready(net, runtime, found.about)
+        return _loaded[key]
+
+
+def create(name: str, size: str) -> nn.Module:
+    """Make a network with fresh weights: priors/nets/cfnet.py has a class Cfnet, made with its size."""
+    made: nn.Module = getattr(import_module(f"priors.nets.{name}"), name.capitalize())(size)
+    return made
+
+
+def as_input(image: Image) -> Tensor:
+    """Turn an image (h, w, 3) or (h, w) uint8 into (1, 3, h, w) float32 in [0, 1]; grey is repeated."""
+    colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    return torch.from_numpy(np.ascontiguousarray(colour)).permute(2, 0, 1)[None].float() / 255
+
+
+def as_map(tensor: Tensor) -> npt.NDArray[np.float32]:
+    """Turn one map (1, h, w) or (1, 1, h, w) into (h, w) float32."""
+    return np.ascontiguousarray(tensor.float().cpu().numpy().reshape(tensor.shape[-2:]))
