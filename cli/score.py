@@ -13,7 +13,7 @@ from rich.markup import escape
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from eval import table
-from eval.curves import Metric, Samples, best, collect, curves
+from eval.curves import Curves, Metric, Samples, best, collect, curves
 from eval.protocol import PRESETS, Protocol, ScoreError, preset
 from eval.result import Result, Scored, score
 from priors import cache, codecs
@@ -128,8 +128,10 @@ def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> li
         results.append(result)
         if args.curves is not None and (prior.folder / "confidence").is_dir():
             samples = collect((scored[1:] for scored in _pairs(prior, drive, reference, ids)), protocol)
-            drawn.append(sparsification(name, samples, fx_baseline))
-            out.print(_best_share(name, samples))
+            made = _curves(samples, fx_baseline)
+            drawn.append(sparsification(name, made))
+            out.print(_best_share(name, samples, fx_baseline))
+            out.print(_areas(name, made))
     if drawn and args.curves is not None:
         path = args.curves.with_name(f"{args.curves.stem}-{drive.name}{args.curves.suffix}") if several else args.curves
         codecs.write_image(path, np.concatenate(drawn))
@@ -171,27 +173,42 @@ def _fx_baseline(drive: Drive) -> float | None:
     return None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
 
 
-def sparsification(name: str, samples: Samples, fx_baseline: float | None) -> Image:
-    """Draw how a prior's errors fall as the least confident pixels are dropped, one plot a metric."""
+def _curves(samples: Samples, fx_baseline: float | None) -> list[Curves]:
     metrics: tuple[Metric, ...] = ("abs_rel", "rmse") if fx_baseline is None else ("abs_rel", "rmse", "d1")
+    return [curves(samples, metric, fx_baseline) for metric in metrics]
+
+
+def sparsification(name: str, made: Sequence[Curves]) -> Image:
+    """Draw how a prior's errors fall as the least confident pixels are dropped, one plot a metric."""
     plots = []
-    for metric in metrics:
-        made = curves(samples, metric, fx_baseline)
+    for curve in made:
         lines = [
-            Line("by confidence", made.kept, made.by_confidence),
-            Line("farthest first", made.kept, made.farthest_first),
-            Line("oracle", made.kept, made.oracle, dashed=True),
+            Line("by confidence", curve.kept, curve.by_confidence),
+            Line("farthest first", curve.kept, curve.farthest_first),
+            Line("oracle", curve.kept, curve.oracle, dashed=True),
         ]
-        column = table.COLUMNS[metric]
+        column = table.COLUMNS[curve.metric]
         plots.append(plot(lines, "share of the pixels kept", f"{column.label} {column.unit}".strip(), name))
     return np.concatenate(plots, axis=1)
 
 
-def _best_share(name: str, samples: Samples) -> str:
+def _areas(name: str, made: Sequence[Curves]) -> str:
+    """Say how far each curve lies from the oracle's, beside the trivial confidence."""
+    texts = [
+        f"{table.COLUMNS[curve.metric].label} {curve.ause:.4g} (farthest first {curve.ause_farthest_first:.4g})"
+        for curve in made
+    ]
+    return f"{name}: AUSE {', '.join(texts)}"
+
+
+def _best_share(name: str, samples: Samples, fx_baseline: float | None) -> str:
     """Score the study's share of the pixels: the most confident ones, and the nearest, which need no confidence."""
     nearest = replace(samples, confidence=-samples.prediction_m)
-    made = [best(chosen, STUDY_SHARE) for chosen in (samples, nearest)]
-    texts = [f"AbsRel {figures['abs_rel']:.4f}, RMSE {figures['rmse']:.3f} m" for figures in made]
+    texts = []
+    for chosen in (samples, nearest):
+        figures = best(chosen, STUDY_SHARE, fx_baseline=fx_baseline)
+        text = f"AbsRel {figures['abs_rel']:.4f}, SqRel {figures['sq_rel']:.4f} m, RMSE {figures['rmse']:.3f} m"
+        texts.append(text + (f", D1 {figures['d1']:.3f} %" if "d1" in figures else ""))
     return f"{name}: the {STUDY_SHARE:.2%} most confident pixels {texts[0]}; the nearest {texts[1]}"
 
 

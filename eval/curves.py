@@ -18,7 +18,7 @@ import numpy.typing as npt
 
 from eval.depth import DepthSums, FloatArray, has_value
 from eval.protocol import Prepared, Protocol
-from eval.stereo import is_d1
+from eval.stereo import DisparitySums, is_d1
 
 Flat = npt.NDArray[np.float64]
 Metric = Literal["abs_rel", "rmse", "d1"]
@@ -104,15 +104,21 @@ def sparsify(error: Flat, confidence: Flat, kept: Flat = KEPT) -> Flat:
     return np.interp(wanted, counts, sums) / wanted
 
 
-def best(samples: Samples, share: float, seed: int = 0) -> dict[str, float]:
-    """Score the most confident share of the pixels by every depth metric; equals are drawn by the seed."""
+def best(samples: Samples, share: float, seed: int = 0, fx_baseline: float | None = None) -> dict[str, float]:
+    """Score the most confident share of the pixels by every depth metric; equals are drawn by the seed.
+
+    With fx * baseline, px m, by every disparity metric as well.
+    """
     n = round(share * samples.truth_m.size)
     shuffled = np.random.default_rng(seed).permutation(samples.truth_m.size)
     order = np.argsort(-np.nan_to_num(samples.confidence[shuffled], nan=-np.inf), kind="stable")
     kept = np.zeros_like(samples.prediction_m)
     chosen = shuffled[order[:n]]
     kept[chosen] = samples.prediction_m[chosen]
-    return DepthSums.over(kept, samples.truth_m).finish()
+    figures = DepthSums.over(kept, samples.truth_m).finish()
+    if fx_baseline is not None:
+        figures.update(DisparitySums.over_depths(kept, samples.truth_m, fx_baseline).finish())
+    return figures
 
 
 def _error(samples: Samples, metric: Metric, fx_baseline: float | None) -> Flat:

@@ -124,6 +124,15 @@ def test_best_keeps_exactly_the_share_with_the_highest_confidence():
     assert len({best(tied, 0.5, seed=seed)["rmse"] for seed in range(20)}) > 1
 
 
+def test_best_knows_disparities_of_a_rig():
+    drawn = samples()
+    for share in (1.0, 0.5):
+        figures = best(drawn, share, fx_baseline=386.0)
+        assert figures["d1"] == pytest.approx(curves(drawn, "d1", 386.0, np.array([share])).by_confidence[0])
+        assert figures["rmse"] == best(drawn, share)["rmse"]
+    assert "d1" not in best(drawn, 1.0)
+
+
 def test_nan_confidence_is_the_least_and_no_pixels_give_nan():
     curve = sparsify(np.array([5.0, 1.0]), np.array([np.nan, 0.0]), np.array([1.0, 0.5]))
     assert curve.tolist() == [3.0, 1.0]
