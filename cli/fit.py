@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from cli.arguments import DriveArguments, parse
-from cli.console import err, fit_progress, out
+from cli.console import err, fit_progress, out, progress
 from cli.report import LpipsArguments, print_table, report_run
 from nerf import fields
 from nerf.fit import FitConfig, fit
@@ -83,7 +83,7 @@ def run(arguments: list[str]) -> int:
     name = "-".join([drive.name, args.field, args.views, *([] if prior is None else [args.losses.loss, prior.name])])
     folder = args.run or Path("runs") / name
     made = claim(folder, RunConfig(drive.describe(), where, args.frames, args.views, args.filters, config))
-    scene = made.scene(drive)
+    scene = made.scene(drive, progress)
     if len(scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
     with fit_progress(folder.name) as on_step:

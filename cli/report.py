@@ -63,7 +63,7 @@ def run(arguments: list[str]) -> int:
     for folder in args.runs:
         made = open_run(folder)
         drive = made.drive()
-        reports.append(report_run(made, args.lpips, made.scene(drive), drive))
+        reports.append(report_run(made, args.lpips, made.scene(drive, progress), drive))
     laid = print_table(reports)
     for path in args.save:
         codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())

@@ -9,7 +9,7 @@ from typing import Any, Literal, cast
 import tyro
 
 from cli.arguments import DriveArguments, parse
-from cli.console import DATA_ERROR, err, fit_progress, out
+from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.fit import FieldName, pick_device, seconds
 from cli.report import LpipsArguments, report_run
 from eval import sheet
@@ -106,7 +106,7 @@ def run(arguments: list[str]) -> int:
         where = None if spec.prior == NONE else str(Path(spec.prior).resolve())
         asked = RunConfig(drive.describe(), where, args.frames, spec.views, spec.filters(), fitted)
         made = claim(folder, asked)
-        scene = made.scene(drive)
+        scene = made.scene(drive, progress)
         with fit_progress(spec.name) as on_step:
             fit(scene, fitted, folder, on_step, pick_device("auto"))
         info: dict[str, object] = {"name": spec.name, "config": config, "command": _command(args, spec, folder)}

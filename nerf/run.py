@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
 from nerf.fit import FitConfig
-from nerf.scene import Scene, open_scene
+from nerf.scene import Progress, Scene, open_scene, silent
 from priors import cache, codecs
 from priors.build import select
 from priors.drives import reopen
@@ -60,12 +60,13 @@ class Run:
         """Open the run's drive."""
         return reopen(self.config.drive)
 
-    def scene(self, drive: Drive) -> Scene:
-        """Open the run's scene; arrays that are there already are used again."""
+    def scene(self, drive: Drive, progress: Progress = silent) -> Scene:
+        """Open the run's scene; what was prepared already is used again."""
         config = self.config
         prior = None if config.prior is None else cache.only(Path(config.prior))
         positions = select(drive.ids, config.frames)
-        return open_scene(drive, prior, config.views, positions, self.folder.parent / SCENES, config.filters)
+        home = self.folder.parent / SCENES
+        return open_scene(drive, prior, config.views, positions, home, config.filters, progress)
 
 
 def claim(folder: Path, config: RunConfig) -> Run:

@@ -1,4 +1,4 @@
-"""A scene: the drive's frames and a prior's maps as memory-mapped arrays, in the drive's own metric frame.
+"""A scene: the drive's frames and a prior's maps in files that are never held whole, in the drive's own metric frame.
 
 Prepared once a drive and once a prior, then shared by every run on them:
 
@@ -10,8 +10,8 @@ Prepared once a drive and once a prior, then shared by every run on them:
 
 import hashlib
 import json
-import shutil
 from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,31 +22,33 @@ import torch
 
 from nerf.rays import Rays
 from nerf.split import split
+from nerf.stack import Stack, StackWriter
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.geometry import rays as pixel_rays
-from priors.types import Camera, Drive, Matrix
+from priors.types import Camera, Depth, Drive, Matrix
 
 LARGEST_STEP_M = 30.0
 """Camera motion between neighbouring frames beyond which poses are taken to have jumped, metres."""
-Step = Callable[[], None]
+Progress = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
+"""Opens a progress bar of a label and a number of frames; yields what is called after each."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Frames with poses and, where a prior is given, its depth; arrays are memory-mapped."""
+    """Frames with poses and, where a prior is given, its depth; arrays or, on disk, stacks."""
 
     name: str
     ids: list[str]
     camera: Camera
     T_world_cam: npt.NDArray[np.float64]
     """(frames, 4, 4)"""
-    images: npt.NDArray[np.uint8]
+    images: Stack | npt.NDArray[np.uint8]
     """(frames, height, width, 3)"""
-    depth_m: npt.NDArray[np.float32] | None
+    depth_m: Stack | npt.NDArray[np.float32] | None
     """(frames, height, width) the prior, 0 = no value; frames the prior lacks are all 0."""
-    weight: npt.NDArray[np.uint8] | None
+    weight: Stack | npt.NDArray[np.uint8] | None
     """(frames, height, width) the prior's confidence x 255."""
     train: list[int]
     """Positions of the training frames."""
@@ -97,6 +99,11 @@ def view_rays(camera: Camera, T_world_cam: Matrix) -> Rays:
     return Rays(_tensor(origins), _tensor(directions), pixel=1 / camera.fx)
 
 
+def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]]:
+    """Show no progress."""
+    return nullcontext(lambda: None)
+
+
 def open_scene(
     drive: Drive,
     prior: Prior | None,
@@ -104,11 +111,11 @@ def open_scene(
     positions: list[int],
     folder: Path,
     filters: Filters | None = None,
-    on_frame: Step = lambda: None,
+    progress: Progress = silent,
 ) -> Scene:
     """Prepare a drive (the frames at `positions`) and a prior for training, or open what was prepared before.
 
-    `filters` thin the prior's maps once more, without another cache.
+    `filters` thin the prior's maps once more, without another cache; `progress` shows what is prepared, if anything.
 
     Raises:
         DataError: frames lack poses, poses jump, or the prior was made for another drive or camera, or has no frame
@@ -117,31 +124,30 @@ def open_scene(
     ids = [drive.ids[position] for position in positions]
     train, test = split(len(ids), views)
     home = folder / f"{drive.name}-{_digest(drive.fingerprint(), *ids)}"
-    record = _prepare_images(drive, positions, home, on_frame)
+    record = _prepare_images(drive, positions, home, progress)
     camera = Camera(np.array(record["K"]), tuple(record["size"]))
     depth_m, weight = None, None
     if prior is not None:
-        depth_m, weight = _prepare_prior(prior, drive, positions, filters or Filters(), home)
+        depth_m, weight = _prepare_prior(prior, drive, positions, filters or Filters(), home, progress)
     if prior is not None and depth_m is not None and not any((depth_m[position] > 0).any() for position in train):
         raise DataError(f"{prior.folder}: no value in any of the {len(train)} training frames: build or filter it anew")
-    images = np.load(home / "images.npy", mmap_mode="r")
-    return Scene(drive.name, ids, camera, np.array(record["T_world_cam"]), images, depth_m, weight, train, test)
+    poses, images = np.array(record["T_world_cam"]), Stack(home / "images.npy")
+    return Scene(drive.name, ids, camera, poses, images, depth_m, weight, train, test)
 
 
-def _prepare_images(drive: Drive, positions: list[int], home: Path, on_frame: Step) -> dict[str, Any]:
+def _prepare_images(drive: Drive, positions: list[int], home: Path, progress: Progress) -> dict[str, Any]:
     """Write images and poses unless they are there; the record is written last and marks them as done."""
     path = home / "frames.json"
     if not path.exists():
-        home.mkdir(parents=True, exist_ok=True)
         poses = _poses(drive, positions)
         first = drive[positions[0]]
         shape = (len(positions), *first.camera.size, 3)
-        images = np.lib.format.open_memmap(home / "images.npy", mode="w+", dtype=np.uint8, shape=shape)
-        for i, position in enumerate(positions):
-            image = drive[position].image()
-            images[i] = image if image.ndim == 3 else image[..., None]
-            on_frame()
-        images.flush()
+        files = StackWriter(home / "images.npy", shape, np.uint8)
+        with files as images, progress(f"images of {drive.name}", len(positions)) as step:
+            for position in positions:
+                image = drive[position].image()
+                images.add(image if image.ndim == 3 else image[..., None])
+                step()
         ids = [drive.ids[position] for position in positions]
         record = {"ids": ids, "K": first.camera.K.tolist(), "size": first.camera.size, "T_world_cam": poses.tolist()}
         _write_json(path, record)
@@ -169,8 +175,8 @@ def _poses(drive: Drive, positions: list[int]) -> npt.NDArray[np.float64]:
 
 
 def _prepare_prior(
-    prior: Prior, drive: Drive, positions: list[int], filters: Filters, home: Path
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint8] | None]:
+    prior: Prior, drive: Drive, positions: list[int], filters: Filters, home: Path, progress: Progress
+) -> tuple[Stack, Stack | None]:
     """Copy a prior's filtered maps into one array each, joined by frame id."""
     made_for = prior.manifest.get("fingerprint")
     if made_for is not None and made_for != drive.fingerprint():
@@ -180,39 +186,45 @@ def _prepare_prior(
         raise DataError(f"{prior.folder}: none of the {len(positions)} frames has a map: build the prior for them")
     place = home / f"{prior.name}-{_digest(json.dumps(filters.record()), *common)}"
     if not (place / "depth.npy").exists():
-        _copy_maps(prior, drive, positions, set(common), filters, place)
+        _copy_maps(prior, drive, positions, set(common), filters, place, progress)
     weight = place / "weight.npy"
-    return np.load(place / "depth.npy", mmap_mode="r"), np.load(weight, mmap_mode="r") if weight.exists() else None
+    return Stack(place / "depth.npy"), Stack(weight) if weight.exists() else None
 
 
 def _copy_maps(
-    prior: Prior, drive: Drive, positions: list[int], common: set[str], filters: Filters, place: Path
+    prior: Prior,
+    drive: Drive,
+    positions: list[int],
+    common: set[str],
+    filters: Filters,
+    place: Path,
+    progress: Progress,
 ) -> None:
-    """Fill a temporary folder, then rename it: a killed run leaves no half array."""
-    half = place.with_name(f".{place.name}.half")
-    shutil.rmtree(half, ignore_errors=True)
-    half.mkdir(parents=True)
+    """Write weight.npy, where there is confidence, then depth.npy, which marks both as done."""
     size = drive[positions[0]].camera.size
     shape = (len(positions), *size)
-    depth_m = np.lib.format.open_memmap(half / "depth.npy", mode="w+", dtype=np.float32, shape=shape)
-    weight = None
-    for i, position in enumerate(positions):
-        if drive.ids[position] not in common:
-            continue
-        frame = drive[position]
-        made = prior.read(frame.id)
-        if made.depth_m.shape != size:
-            raise DataError(
-                f"{prior.depth_path(frame.id)}: {made.depth_m.shape}, the images are {size}: build it again"
-            )
-        made = filters(made, frame)
-        depth_m[i] = made.depth_m
-        if made.confidence is not None:
-            if weight is None:
-                weight = np.lib.format.open_memmap(half / "weight.npy", mode="w+", dtype=np.uint8, shape=shape)
-            weight[i] = np.rint(made.confidence * 255)
-    depth_m.flush()
-    half.rename(place)
+    with ExitStack() as files:
+        depth_m = files.enter_context(StackWriter(place / "depth.npy", shape, np.float32))
+        weight = None
+        if prior.confidence_path("").parent.is_dir():
+            weight = files.enter_context(StackWriter(place / "weight.npy", shape, np.uint8))
+        step = files.enter_context(progress(f"maps of {prior.name}", len(positions)))
+        for position in positions:
+            made = _map(prior, drive, position, filters) if drive.ids[position] in common else None
+            depth_m.add(0 if made is None else made.depth_m)
+            if weight is not None:
+                confidence = None if made is None else made.confidence
+                weight.add(0 if confidence is None else np.rint(confidence * 255))
+            step()
+
+
+def _map(prior: Prior, drive: Drive, position: int, filters: Filters) -> Depth:
+    """Read and filter a frame's map."""
+    frame = drive[position]
+    made, size = prior.read(frame.id), frame.camera.size
+    if made.depth_m.shape != size:
+        raise DataError(f"{prior.depth_path(frame.id)}: {made.depth_m.shape}, the images are {size}: build it again")
+    return filters(made, frame)
 
 
 def _write_json(path: Path, record: dict[str, Any]) -> None:
