@@ -28,6 +28,7 @@ from torch import Tensor, nn
 
 from priors import codecs
 from priors.errors import DataError
+from priors.nets.blocks import channels_last
 from priors.types import Image
 
 Batch = dict[str, Tensor]
@@ -137,9 +138,7 @@ class _Run:
     def __init__(self, task: Task, out: Path, config: TrainConfig, device: str) -> None:
         self.task, self.out, self.config = task, out, config
         self.device = torch.device(device)
-        self.net = task.net.to(self.device)
-        if self.device.type == "cpu":
-            self.net = self.net.to(memory_format=torch.channels_last)
+        self.net = channels_last(task.net.to(self.device))
         self.net.train()
         self.average = copy.deepcopy(self.net).eval().requires_grad_(False)
         weights = [p for p in self.net.parameters() if p.ndim > 1]
@@ -195,8 +194,8 @@ class _Run:
         """Move the running average; it starts as a plain mean so that early weights do not linger."""
         keep = min(self.config.ema, (self.step + 1) / (self.step + 10))
         with torch.no_grad():
-            ours, theirs = list(self.average.parameters()), [p.detach() for p in self.net.parameters()]
-            torch._foreach_lerp_(ours, theirs, 1 - keep)
+            for ours, theirs in zip(self.average.parameters(), self.net.parameters(), strict=True):
+                ours.lerp_(theirs, 1 - keep)
             for ours_, theirs_ in zip(self.average.buffers(), self.net.buffers(), strict=True):
                 ours_.copy_(theirs_)
 

@@ -57,3 +57,12 @@ def _fold_sequence(sequence: nn.Sequential) -> None:
         if isinstance(layer, nn.Conv2d | nn.Conv3d) and isinstance(norm, nn.BatchNorm2d | nn.BatchNorm3d):
             sequence[index] = fuse_conv_bn_eval(layer, norm)
             sequence[index + 1] = nn.Identity()
+
+
+def channels_last(net: Net) -> Net:
+    """Store convolution weights, in place, the way that makes them run fast on CPUs: channels fastest."""
+    for module in net.modules():
+        if isinstance(module, nn.Conv2d | nn.Conv3d):
+            layout = torch.channels_last if module.weight.ndim == 4 else torch.channels_last_3d
+            module.weight.data = module.weight.data.contiguous(memory_format=layout)
+    return net

@@ -3,6 +3,8 @@
 Pixel-unshuffle turns 4x4 pixels into channels, so that no convolution ever runs at full size and no detail is lost.
 """
 
+from itertools import pairwise
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -26,9 +28,9 @@ class Trunk(nn.Module):
         super().__init__()
         self.channels = channels
         self.stem = nn.Sequential(conv(16 * inputs, channels[0]), Residual(channels[0]))
-        steps = zip(channels[:-1], channels[1:], strict=True)
+        steps = list(pairwise(channels))
         self.down = nn.ModuleList(nn.Sequential(conv(a, b, stride=2), Residual(b)) for a, b in steps)
-        self.lower = nn.ModuleList(conv(b, a, 1) for a, b in zip(channels[:-1], channels[1:], strict=True))
+        self.lower = nn.ModuleList(conv(b, a, 1) for a, b in steps)
         self.up = nn.ModuleList(nn.Sequential(conv(2 * a, a), Residual(a)) for a in channels[:-1])
 
     def forward(self, image: Tensor) -> list[Tensor]:

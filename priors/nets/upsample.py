@@ -1,7 +1,10 @@
 """Convex upsampling: every fine pixel is a learned average of its 3x3 coarse neighbours (RAFT, Teed and Deng, 2020)."""
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+LARGEST = 30.0
 
 
 def convex(values: Tensor, weights: Tensor, factor: int) -> Tensor:
@@ -9,20 +12,19 @@ def convex(values: Tensor, weights: Tensor, factor: int) -> Tensor:
 
     Args:
         values: (b, c, h, w) float32; not scaled: a disparity in coarse pixels stays one in coarse pixels.
-        weights: (b, 9 * factor^2, h, w) logits; the nine neighbours vary slowest.
+        weights: (b, factor^2 * 9, h, w) logits; the nine neighbours vary fastest.
         factor: how many times larger the result is.
 
     Returns:
         (b, c, factor * h, factor * w) float32, each value between the least and the largest of its 3x3 neighbours.
     """
     batch, channels, height, width = values.shape
-    share = weights.float().view(batch, 1, 9, factor * factor, height, width).softmax(dim=2)
+    logits = weights.permute(0, 2, 3, 1).reshape(batch, height, width, factor * factor, 9)
+    # Logits are held where float32's exp is safe; torch's softmax is slow over so few values.
+    share = logits.float().clamp(-LARGEST, LARGEST).exp()
+    share = share / share.sum(-1, keepdim=True)
     padded = F.pad(values.float(), (1, 1, 1, 1), mode="replicate")
-    total = None
-    for index in range(9):
-        row, column = divmod(index, 3)
-        neighbour = padded[:, :, row : row + height, column : column + width]
-        part = neighbour[:, :, None] * share[:, :, index]
-        total = part if total is None else total + part
-    assert total is not None
-    return F.pixel_shuffle(total.reshape(batch, channels * factor * factor, height, width), factor)
+    views = [padded[:, :, row : row + height, column : column + width] for row in range(3) for column in range(3)]
+    around = torch.stack(views, dim=-1)  # (b, c, h, w, 9)
+    fine = [(around[:, channel, :, :, None] * share).sum(-1) for channel in range(channels)]
+    return torch.cat([F.pixel_shuffle(f.permute(0, 3, 1, 2), factor) for f in fine], dim=1)

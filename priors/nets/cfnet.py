@@ -1,0 +1,150 @@
+"""CFNet-style stereo: a fused cost volume, then ranges that each pixel's own uncertainty sets (Shen et al., CVPR 2021).
+
+1. Correlations at 1/8, 1/16 and 1/32 of the image are fused by one 3D hourglass over the full range of disparities.
+2. At 1/4 each pixel searches disparity +- ((1 + gamma) sigma + beta), sigma being the standard deviation of its own
+   matching distribution; gamma and beta are learned. (In the released code they are not: its planes are cast to
+   integers. Here features are read between pixels, so that the range gets a gradient.)
+3. At 1/2 the same again, and a convex upsampling to full size.
+
+What differs from the paper is for speed: dense convolutions on a shared quarter-size trunk, few planes, 2D aggregation
+in the last stage. Confidence is the probability of an error below 1 px, read from the three stages' sigmas.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from priors.nets.blocks import Residual, conv, conv3d
+from priors.nets.coarse import WIDTHS, Coarse, double, per_pixel
+from priors.nets.matching import lookup
+from priors.nets.outputs import Matched, StereoOut, finer
+from priors.nets.trunk import SIZES, Trunk, normalise, pad
+from priors.nets.volume import expect, unit
+
+QUARTER_PLANES, HALF_PLANES = 8, 6
+QUARTER_REACH_PX, HALF_REACH_PX = 2.5, 1.5
+"""Least half-width of a range, pixels of its stage."""
+
+
+class Range(nn.Module):
+    """The disparities a stage searches around the last one's answer; the width is learned."""
+
+    def __init__(self, planes: int, reach_px: float) -> None:
+        super().__init__()
+        self.planes, self.reach_px = planes, reach_px
+        self.gamma = nn.Parameter(torch.zeros(()))
+        self.beta = nn.Parameter(torch.zeros(()))
+
+    def forward(self, disparity_px: Tensor, sigma_px: Tensor) -> Tensor:
+        """Return positions (b, h, w, planes) for maps (b, h, w), evenly spaced, none below 0."""
+        half = ((1 + self.gamma.float()) * sigma_px + self.beta.float()).clamp(min=self.reach_px)
+        low = (disparity_px - half).clamp(min=0)
+        step = (disparity_px + half - low) / (self.planes - 1)
+        number = torch.arange(self.planes, device=low.device, dtype=torch.float32)
+        return low[..., None] + step[..., None] * number
+
+
+class Quarter(nn.Module):
+    """Stage 2: a few planes at 1/4, aggregated in 3D."""
+
+    def __init__(self, channels: int, width: int = 16) -> None:
+        super().__init__()
+        self.range = Range(QUARTER_PLANES, QUARTER_REACH_PX)
+        self.head = nn.Conv2d(channels, 32, 1)
+        self.groups = 4
+        self.first = conv3d(self.groups + 1, width)
+        self.gate = nn.Conv2d(channels, width, 1)
+        self.down = nn.Sequential(conv3d(width, 2 * width, stride=2), conv3d(2 * width, 2 * width))
+        self.up = conv3d(2 * width, width)
+        self.last = nn.Sequential(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
+
+    def forward(self, left: Tensor, right: Tensor, disparity_px: Tensor, sigma_px: Tensor) -> Matched:
+        """Search around disparities (b, h, w) with deviations, in quarter pixels."""
+        position = self.range(disparity_px, sigma_px)
+        a, b = unit(self.head(left), self.groups), unit(self.head(right), self.groups)
+        match = lookup(a, b, position, self.groups)
+        where = ((position - disparity_px[..., None]) * 0.2).to(match.dtype)[:, None]
+        volume = self.first(torch.cat([match, where], dim=1)) * per_pixel(torch.sigmoid(self.gate(left)))
+        below = self.down(volume)
+        volume = volume + self.up(double(below)[:, :, : volume.shape[2], : volume.shape[3]])
+        logits = self.last(volume).squeeze(1)
+        return Matched(*expect(logits, position), logits, position)
+
+
+class Half(nn.Module):
+    """Stage 3: a few planes at 1/2, aggregated in 2D, and the way to full size."""
+
+    def __init__(self, channels: int, width: int = 32) -> None:
+        super().__init__()
+        self.range = Range(HALF_PLANES, HALF_REACH_PX)
+        self.groups = 4
+        self.lift = conv(channels, 16, 1)
+        self.features = conv(16 + 12, 32)
+        self.head = nn.Conv2d(32, 16, 1)
+        inputs = 32 + self.groups * HALF_PLANES + 2 + HALF_PLANES
+        self.body = nn.Sequential(conv(inputs, width), Residual(width), Residual(width))
+        self.logits = nn.Conv2d(width, HALF_PLANES, 3, padding=1)
+        self.doubt = nn.Conv2d(width, 1, 3, padding=1)
+        self.weights = nn.Conv2d(width, 36, 1)
+
+    def forward(
+        self, left: tuple[Tensor, Tensor], right: tuple[Tensor, Tensor], disparity_px: Tensor, sigmas_px: list[Tensor]
+    ) -> tuple[Matched, Tensor, Tensor]:
+        """Search around disparities (b, h, w), in half pixels.
+
+        Args:
+            left: image (b, 3, 2h, 2w) and features (b, c, h / 2, w / 2).
+            right: the same.
+            disparity_px: (b, h, w) half pixels.
+            sigmas_px: deviations (b, h, w) of the stages before, the last one first, half pixels.
+
+        Returns:
+            the match; doubt (b, h, w); upsampling logits (b, 36, h, w).
+        """
+        position = self.range(disparity_px, sigmas_px[0])
+        seen, other = self._features(*left), self._features(*right)
+        a, b = unit(self.head(seen), self.groups), unit(self.head(other), self.groups)
+        match = lookup(a, b, position, self.groups).permute(0, 1, 4, 2, 3).flatten(1, 2)
+        spread = torch.stack([torch.log(s + 0.05) for s in sigmas_px], dim=1).to(seen.dtype)
+        where = (position - disparity_px[..., None]).permute(0, 3, 1, 2).to(seen.dtype)
+        body = self.body(torch.cat([seen, match, spread, where], dim=1))
+        logits = self.logits(body).permute(0, 2, 3, 1)
+        matched = Matched(*expect(logits, position), logits, position)
+        return matched, self.doubt(body)[:, 0].float(), self.weights(body)
+
+    def _features(self, image: Tensor, quarter: Tensor) -> Tensor:
+        above = F.interpolate(self.lift(quarter), scale_factor=2.0, mode="nearest")
+        return self.features(torch.cat([F.pixel_unshuffle(image, 2), above], dim=1))
+
+
+class Cfnet(nn.Module):
+    """Stereo network; sizes s, m, l differ in the trunk and in the coarse volume's width."""
+
+    def __init__(self, size: str = "m") -> None:
+        super().__init__()
+        channels = SIZES[size]
+        self.trunk = Trunk(channels)
+        self.coarse = Coarse(channels, WIDTHS[size])
+        self.to_quarter = nn.Conv2d(channels[1], 36, 1)
+        self.quarter = Quarter(channels[0])
+        self.to_half = nn.Conv2d(channels[0], 36, 1)
+        self.fine = Half(channels[0])
+
+    def forward(self, left: Tensor, right: Tensor, largest_px: int) -> StereoOut:
+        """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32)."""
+        height, width = left.shape[-2:]
+        dtype = self.to_half.weight.dtype
+        images = pad(normalise(torch.cat([left, right]).float())).to(dtype)
+        both = self.trunk(images)
+        ours, theirs = [f.chunk(2)[0] for f in both], [f.chunk(2)[1] for f in both]
+        image, other = images.chunk(2)
+        coarse = self.coarse(ours, theirs, largest_px // 8)
+        disparity, sigma8 = finer([coarse.disparity_px, coarse.sigma_px], self.to_quarter(ours[1]))
+        quarter = self.quarter(ours[0], theirs[0], disparity, sigma8)
+        maps = [quarter.disparity_px, quarter.sigma_px, sigma8]
+        disparity, sigma4, sigma8 = finer(maps, self.to_half(ours[0]))
+        half, doubt, weights = self.fine((image, ours[0]), (other, theirs[0]), disparity, [sigma4, sigma8])
+        full, sigma = finer([half.disparity_px, half.sigma_px], weights)
+        doubt = F.interpolate(doubt[:, None], scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
+        stages = [coarse, quarter, half] if self.training else []
+        return StereoOut(*(m[:, :height, :width] for m in (full, sigma, doubt)), stages)

@@ -1,0 +1,62 @@
+"""The first stage of a stereo network: cost volumes of three scales, fused by one 3D hourglass."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from priors.nets.blocks import conv3d
+from priors.nets.matching import correlate
+from priors.nets.outputs import Matched
+from priors.nets.volume import concatenate, expect, unit
+
+GROUPS, GROUP_CHANNELS = 8, 8
+WIDTHS = {"s": 16, "m": 24, "l": 32}
+"""Channels of the 3D convolutions at 1/8."""
+
+
+class Coarse(nn.Module):
+    """The whole range of disparities at 1/8, helped by volumes at 1/16 and 1/32."""
+
+    def __init__(self, channels: tuple[int, int, int, int], width: int, joined: int = 0) -> None:
+        """Take the trunk's channels, the 3D convolutions' width, and how many features of each view to concatenate."""
+        super().__init__()
+        matched = GROUPS * GROUP_CHANNELS
+        self.heads = nn.ModuleList(nn.Conv2d(c, matched, 1) for c in channels[1:])
+        self.joined = nn.ModuleList(nn.Conv2d(c, joined, 1) for c in channels[1:]) if joined else None
+        self.first = nn.ModuleList(conv3d(GROUPS + 2 * joined, width * k) for k in (1, 2, 2))
+        self.down = nn.ModuleList([conv3d(width, 2 * width, stride=2), conv3d(2 * width, 2 * width, stride=2)])
+        self.fuse = nn.ModuleList([conv3d(4 * width, 2 * width), conv3d(4 * width, 2 * width)])
+        self.up = nn.ModuleList([conv3d(2 * width, width), conv3d(2 * width, 2 * width)])
+        self.gate = nn.Conv2d(channels[1], width, 1)
+        self.last = nn.Sequential(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
+
+    def forward(self, left: list[Tensor], right: list[Tensor], planes: int) -> Matched:
+        """Match features at 1/8, 1/16 and 1/32 over `planes` (a multiple of 4) disparities at 1/8."""
+        volumes = []
+        for level, head in enumerate(self.heads):
+            a, b = unit(head(left[level + 1]), GROUPS), unit(head(right[level + 1]), GROUPS)
+            volume = correlate(a, b, GROUPS, planes >> level)
+            if self.joined is not None:
+                pair = self.joined[level](left[level + 1]), self.joined[level](right[level + 1])
+                volume = torch.cat([volume, concatenate(*pair, planes >> level)], dim=1)
+            volumes.append(self.first[level](volume))
+        eighth, sixteenth, coarsest = volumes
+        eighth = eighth * per_pixel(torch.sigmoid(self.gate(left[1])))
+        sixteenth = self.fuse[0](torch.cat([self.down[0](eighth), sixteenth], dim=1))
+        coarsest = self.fuse[1](torch.cat([self.down[1](sixteenth), coarsest], dim=1))
+        sixteenth = sixteenth + self.up[1](double(coarsest))
+        eighth = eighth + self.up[0](double(sixteenth))
+        logits = self.last(eighth).squeeze(1)
+        position = torch.arange(planes, device=logits.device, dtype=torch.float32)
+        disparity, sigma = expect(logits, position, window=2)
+        return Matched(disparity, sigma, logits, position)
+
+
+def per_pixel(values: Tensor) -> Tensor:
+    """Stretch (b, c, h, w) over a volume's planes."""
+    return values[..., None]
+
+
+def double(volume: Tensor) -> Tensor:
+    """Repeat a volume's values to twice its three sizes."""
+    return F.interpolate(volume, scale_factor=2.0, mode="nearest")

@@ -1,0 +1,38 @@
+"""What stereo networks return, and how maps go from one stage to the next."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from priors.nets.upsample import convex
+
+
+@dataclass
+class Matched:
+    """What one stage found: (b, h, w) maps in its own pixels, and what a loss needs of it."""
+
+    disparity_px: Tensor
+    sigma_px: Tensor
+    logits: Tensor | None = None
+    """(b, h, w, planes); None where the stage has no distribution."""
+    position_px: Tensor | None = None
+    """(b, h, w, planes), or broadcastable."""
+
+
+@dataclass
+class StereoOut:
+    """What a stereo network returns: full-size maps (b, h, w), float32."""
+
+    disparity_px: Tensor
+    sigma_px: Tensor
+    """Standard deviation of the last matching distribution, pixels of the image."""
+    doubt: Tensor
+    """Logit of an error above 1 px: confidence = sigmoid(-doubt)."""
+    stages: list[Matched]
+    """Coarse to fine; empty in eval mode."""
+
+
+def finer(maps: list[Tensor], weights: Tensor) -> list[Tensor]:
+    """Bring maps (b, h, w) in pixels to twice the size and unit; weights as `convex` has them."""
+    return list((2 * convex(torch.stack(maps, dim=1), weights, 2)).unbind(1))

@@ -1,0 +1,87 @@
+"""PCWNet-style stereo: multi-scale combination volumes, then refinement by warping volumes (Shen et al., ECCV 2022).
+
+1. Combination volumes (group-wise correlation and concatenated features) at 1/8, 1/16 and 1/32 of the image are fused
+   by one 3D hourglass over the full range of disparities.
+2. Warping volume: the right features are brought to where the answer so far says they are, and compared with the left
+   ones there and a few pixels to each side; a 2D network reads the remaining error from that. Once at 1/4, once at 1/2.
+
+The paper starts at 1/4, puts the volume at full size and warps there; a CPU cannot afford either.
+"""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from priors.nets.blocks import Residual, conv
+from priors.nets.coarse import WIDTHS, Coarse
+from priors.nets.matching import lookup
+from priors.nets.outputs import Matched, StereoOut, finer
+from priors.nets.trunk import SIZES, Trunk, normalise, pad
+from priors.nets.volume import shift, unit
+
+JOINED = 8
+GROUPS = 2
+
+
+class Warping(nn.Module):
+    """Refine a disparity by what is left between the left view and the right one warped by it."""
+
+    def __init__(self, features: int, reach_px: int, width: int, dilations: tuple[int, ...]) -> None:
+        super().__init__()
+        self.reach_px = reach_px
+        self.head = nn.Conv2d(features, 16, 1)
+        compared = GROUPS * (2 * reach_px + 1)
+        self.first = conv(features + 16 + compared + 2, width)
+        self.body = nn.Sequential(*(Residual(width, dilation) for dilation in dilations))
+        self.change = nn.Conv2d(width, 1, 3, padding=1)
+        self.weights = nn.Conv2d(width, 36, 1)
+        self.doubt = nn.Conv2d(width, 1, 3, padding=1)
+
+    def forward(
+        self, left: Tensor, right: Tensor, disparity_px: Tensor, sigma_px: Tensor
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Take features (b, c, h, w), disparity and sigma (b, h, w) in their pixels.
+
+        Returns the refined disparity (b, h, w), upsampling logits (b, 36, h, w) and doubt (b, h, w).
+        """
+        a, b = unit(self.head(left), GROUPS), unit(self.head(right), GROUPS)
+        step = torch.arange(-self.reach_px, self.reach_px + 1, device=left.device, dtype=torch.float32)
+        volume = lookup(a, b, disparity_px[..., None] + step, GROUPS).permute(0, 1, 4, 2, 3).flatten(1, 2)
+        difference = (a - shift(b, disparity_px)).permute(0, 3, 1, 2)
+        known = torch.stack([disparity_px * 0.05, torch.log(sigma_px + 0.05)], dim=1).to(left.dtype)
+        body = self.body(self.first(torch.cat([left, difference, volume, known], dim=1)))
+        refined = (disparity_px + self.change(body)[:, 0].float()).clamp(min=0)
+        return refined, self.weights(body), self.doubt(body)[:, 0].float()
+
+
+class Pcwnet(nn.Module):
+    """Stereo network; sizes s, m, l differ in the trunk and in the volume's width."""
+
+    def __init__(self, size: str = "m") -> None:
+        super().__init__()
+        channels = SIZES[size]
+        self.trunk = Trunk(channels)
+        self.coarse = Coarse(channels, WIDTHS[size], JOINED)
+        self.to_quarter = nn.Conv2d(channels[1], 36, 1)
+        self.quarter = Warping(channels[0], 4, 48, (1, 2, 4))
+        self.lift = conv(channels[0], 16, 1)
+        self.features = conv(16 + 12, 32)
+        self.fine = Warping(32, 2, 32, (1, 1))
+
+    def forward(self, left: Tensor, right: Tensor, largest_px: int) -> StereoOut:
+        """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32)."""
+        height, width = left.shape[-2:]
+        images = pad(normalise(torch.cat([left, right]).float())).to(self.to_quarter.weight.dtype)
+        levels = self.trunk(images)
+        ours, theirs = [f.chunk(2)[0] for f in levels], [f.chunk(2)[1] for f in levels]
+        coarse = self.coarse(ours, theirs, largest_px // 8)
+        disparity, sigma = finer([coarse.disparity_px, coarse.sigma_px], self.to_quarter(ours[1]))
+        disparity4, weights, _ = self.quarter(ours[0], theirs[0], disparity.detach(), sigma.detach())
+        disparity, sigma = finer([disparity4, sigma.detach()], weights)
+        above = F.interpolate(self.lift(levels[0]), scale_factor=2.0, mode="nearest")
+        a, b = self.features(torch.cat([F.pixel_unshuffle(images, 2), above], dim=1)).chunk(2)
+        disparity2, weights, doubt = self.fine(a, b, disparity.detach(), sigma)
+        full, sigma = finer([disparity2, sigma], weights)
+        doubt = F.interpolate(doubt[:, None], scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
+        stages = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)] if self.training else []
+        return StereoOut(*(m[:, :height, :width] for m in (full, sigma, doubt)), stages)
