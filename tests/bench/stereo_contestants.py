@@ -1,0 +1,115 @@
+"""Who takes part in bench_networks.py: OpenCV's matcher, PSMNet, and every stereo preset of ours that has weights."""
+
+import importlib.util
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from priors.geometry import convert_disparity
+from priors.matching import halve, to_grey
+from priors.methods.stereo import Stereo
+from priors.offset import Offset
+from priors.types import Depth, Frame
+
+MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A way to make depth from a pair."""
+
+    name: str
+    run: Callable[[Frame], Depth]
+    family: int
+    """Dots of one family are joined in the plot."""
+    once: bool = False
+    """So slow that one timing has to do."""
+
+
+def contestants(
+    folder: Path, runtimes: list[str], offset_px: Offset, peer: Path | None, peer_weights: Path | None
+) -> list[Contestant]:
+    """List them; ours with the weights in a folder and the offset given, the peers as they are."""
+    found = [Contestant("SGBM full", sgbm, 0), Contestant("SGBM half", sgbm_half, 0)]
+    found.append(Contestant("classical", Stereo(offset_px=offset_px), 1))
+    for family, model in enumerate(("cfnet", "pcwnet"), start=2):
+        for size in ("s", "m", "l"):
+            file = folder / f"{model}-{size}.safetensors"
+            if file.is_file():
+                found += [
+                    Contestant(f"{model}-{size} {runtime}", _ours(model, size, runtime, file, offset_px), family)
+                    for runtime in runtimes
+                ]
+    if peer is not None and peer_weights is not None:
+        found.append(Contestant("PSMNet", lambda frame: psmnet(frame, peer, peer_weights), 4, once=True))
+    return found
+
+
+def _ours(model: Any, size: Any, runtime: Any, file: Path, offset_px: Offset) -> Stereo:
+    return Stereo(model=model, size=size, runtime=runtime, weights=file, offset_px=offset_px)
+
+
+def with_offset(contestant: Contestant, offset_px: Offset) -> Contestant | None:
+    """Return one of ours with another offset; None for a peer."""
+    if not isinstance(contestant.run, Stereo):
+        return None
+    return replace(contestant, run=replace(contestant.run, offset_px=offset_px))
+
+
+def sgbm(frame: Frame) -> Depth:
+    """OpenCV's 3-way matcher at 192 disparities, grey; what it leaves out is left out."""
+    return _depth(frame, _match(to_grey(frame.image()), to_grey(frame.other()), 192))
+
+
+def sgbm_half(frame: Frame) -> Depth:
+    """The same at half the size, 96 disparities; the result is doubled to full size."""
+    image, other = halve(to_grey(frame.image())), halve(to_grey(frame.other()))
+    height, width = frame.camera.size
+    half = _match(image, other, 96)
+    return _depth(frame, 2 * cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=0)[:height, :width])
+
+
+def _match(image: Any, other: Any, count: int) -> Any:
+    matcher = cv2.StereoSGBM.create(0, count, 3, 72, 288, 1, 63, 10, 100, 2, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    return np.maximum(matcher.compute(image, other).astype(np.float32) / 16, 0)
+
+
+def _depth(frame: Frame, disparity_px: Any) -> Depth:
+    assert frame.baseline_m is not None
+    return Depth(convert_disparity(disparity_px, frame.camera.fx, frame.baseline_m))
+
+
+def psmnet(frame: Frame, peer: Path, peer_weights: Path) -> Depth:
+    """PSMNet as its authors run it: float32, ImageNet colours, zeros at the top and the right."""
+    import torch
+
+    net = _load_psmnet(peer, peer_weights)
+    views = []
+    for image in (frame.image(), frame.other()):
+        colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+        scaled = ((colour / 255.0 - MEAN) / SPREAD).astype(np.float32)
+        height, width = scaled.shape[:2]
+        padded = np.pad(scaled, ((-height % 32, 0), (0, -width % 32), (0, 0)))
+        views.append(torch.from_numpy(padded.transpose(2, 0, 1).copy())[None])
+    with torch.inference_mode():
+        disparity_px = net(*views)[0].numpy()
+    return _depth(frame, disparity_px[-height:, :width].astype(np.float32))
+
+
+@cache
+def _load_psmnet(peer: Path, peer_weights: Path) -> Any:
+    import torch
+
+    spec = importlib.util.spec_from_file_location("peer_psmnet", peer)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    net = module.PSMNet(192).eval()
+    state = torch.load(peer_weights, map_location="cpu", weights_only=True)["state_dict"]
+    net.load_state_dict({key.removeprefix("module."): value for key, value in state.items()})
+    return net
