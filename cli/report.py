@@ -11,6 +11,7 @@ from cli.arguments import parse
 from cli.console import out, progress
 from eval import lpips, sheet
 from nerf import checkpoint
+from nerf.pictures import compare, load_view
 from nerf.report import Report, Truths, report
 from nerf.run import Run, open_run
 from nerf.scene import Scene
@@ -25,6 +26,7 @@ EXAMPLES = """Score runs' held-out views and print one table; views that were re
 examples:
   nerf eval runs/street-ngp-sparse
   nerf eval runs/a runs/b runs/c --save table.md table.tex
+  nerf eval runs/a runs/b --pictures pictures       image, depth and error of each, a picture a held-out view
   nerf eval runs/a --lpips-weights squeezenet1_1_fp16.npz squeeze.pth
 """
 WRITERS = {".md": sheet.markdown, ".tex": sheet.latex, ".txt": sheet.plain}
@@ -50,6 +52,8 @@ class ReportArguments:
     """Runs' folders."""
     save: tuple[Path, ...] = ()
     """Also write the table: .md, .tex or .txt, as many as wanted."""
+    pictures: Path | None = None
+    """Also set the runs side by side: a picture of each held-out view in this folder."""
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
 
 
@@ -59,16 +63,35 @@ def run(arguments: list[str]) -> int:
     bad = [path for path in args.save if path.suffix not in WRITERS]
     if bad:
         raise DataError(f"{bad[0]}: expected a table ending in {', '.join(WRITERS)}")
-    reports = []
+    opened, reports = [], []
     for folder in args.runs:
         made = open_run(folder)
         drive = made.drive()
-        reports.append(report_run(made, args.lpips, made.scene(drive, progress), drive))
+        scene = made.scene(drive, progress)
+        opened.append((made, scene))
+        reports.append(report_run(made, args.lpips, scene, drive))
     laid = print_table(reports)
     for path in args.save:
         codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
         out.print(f"wrote {path}")
+    if args.pictures is not None:
+        _picture(opened, args.pictures)
     return 0
+
+
+def _picture(runs: Sequence[tuple[Run, Scene]], folder: Path) -> None:
+    """Write a picture of each view that all runs hold out; they must be of one drive."""
+    first, scene = runs[0]
+    drive = first.drive()
+    if any(made.drive().fingerprint() != drive.fingerprint() for made, _ in runs[1:]):
+        raise DataError("--pictures: the runs are of several drives: name the runs of one")
+    ids = [[each.ids[position] for position in each.test] for _, each in runs]
+    truths = Truths(drive, ids[0])
+    common = [(id_, position) for id_, position in zip(ids[0], scene.test, strict=True) if all(id_ in i for i in ids)]
+    for id_, position in common:
+        views = [(made.name, *load_view(made.folder / "renders", id_)) for made, _ in runs]
+        codecs.write_image(folder / f"{id_}.jpg", compare(id_, scene.images[position], truths(id_), views))
+    out.print(f"wrote {len(common)} pictures to {folder}")
 
 
 def report_run(

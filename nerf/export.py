@@ -15,12 +15,13 @@ from eval.image import as_uint8
 from nerf.pictures import OPAQUE, Render, RenderedView
 from priors.errors import DataError
 from priors.geometry import invert, rays
-from priors.types import Camera, Depth, Matrix
+from priors.types import Camera, Depth, FloatMap, Matrix
 
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 )  # fmt: skip
 HEADER_BYTES = 320  # filled up, since the number of points is known last
+MESHES = (".ply", ".obj", ".glb")
 BLOCK_VOXELS, FIRST_BLOCKS, TRUNCATION_VOXELS = 16, 10_000, 4.0
 Points: TypeAlias = npt.NDArray[np.void]
 Poses = npt.NDArray[np.float64]
@@ -35,39 +36,43 @@ class CloudConfig:
     """Least opacity of a pixel that is taken."""
     farthest_m: float = 60.0
     """Largest camera-z depth that is taken, metres: far depth is rough."""
+    agreement: float = 0.1
+    """Largest difference of expected and median depth, as a share of it: where they differ more, a pixel sees two
+    surfaces, and its expected depth is that of neither."""
     voxel_m: float = 0.1
     """One point, or one cell of the mesh's volume, in a cube of this side, metres."""
 
     def __post_init__(self) -> None:
-        if not (0 <= self.opacity <= 1 and self.farthest_m > 0 and self.voxel_m > 0):
-            raise DataError(f"expected an opacity from 0 to 1, farthest and voxel above 0 m, found {self}")
+        if not (0 <= self.opacity <= 1 and self.farthest_m > 0 and self.voxel_m > 0 and self.agreement > 0):
+            raise DataError(f"expected an opacity from 0 to 1, all else above 0, found {self}")
 
 
 def write_cloud(
     path: Path, render: Render, camera: Camera, T_world_cam: Poses, config: CloudConfig, on_view: Step = lambda: None
 ) -> int:
-    """Render views at poses (n, 4, 4) and write their pixels as points in the world, one a voxel, the first seen.
+    """Render views at poses (n, 4, 4) and write their pixels as world points, one a voxel: the one seen from nearest.
 
     Returns:
         How many points were written.
+
+    Raises:
+        DataError: the path does not end in .ply.
     """
-    seen = np.zeros(0, dtype=np.int64)
-
-    def parts() -> Iterable[Points]:
-        nonlocal seen
-        for pose in T_world_cam:
-            points = view_points(render(pose, camera), camera, pose, config)
-            cells = cells_of(points, config.voxel_m)
-            new = ~np.isin(cells, seen)
-            seen = np.concatenate([seen, cells[new]])
-            yield points[new]
-            on_view()
-
-    return write_ply(path, parts())
+    _check_name(path, (".ply",))
+    kept, depth_m = np.zeros(0, POINT), np.zeros(0, np.float32)
+    for pose in T_world_cam:
+        points, found_m = view_points(render(pose, camera), camera, pose, config)
+        points, found_m = np.concatenate([kept, points]), np.concatenate([depth_m, found_m])
+        chosen = nearest(cells_of(points, config.voxel_m), found_m)
+        kept, depth_m = points[chosen], found_m[chosen]
+        on_view()
+    return write_ply(path, [kept])
 
 
-def view_points(view: RenderedView, camera: Camera, T_world_cam: Matrix, config: CloudConfig) -> Points:
-    """Return a view's pixels as world points, metres, one a voxel: (n,) POINT."""
+def view_points(
+    view: RenderedView, camera: Camera, T_world_cam: Matrix, config: CloudConfig
+) -> tuple[Points, FloatMap]:
+    """Return a view's pixels as world points (n,) POINT, metres, and their depths (n,), metres."""
     depth = _taken(view, config)
     xyz = (rays(camera)[depth.valid] * depth.depth_m[depth.valid, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     points = np.zeros(len(xyz), POINT)
@@ -75,8 +80,15 @@ def view_points(view: RenderedView, camera: Camera, T_world_cam: Matrix, config:
         points[name] = xyz[:, axis]
     for channel, name in enumerate(("red", "green", "blue")):
         points[name] = as_uint8(view.rgb)[depth.valid][:, channel]
-    _, first = np.unique(cells_of(points, config.voxel_m), return_index=True)
-    return points[np.sort(first)]
+    return points, depth.depth_m[depth.valid]
+
+
+def nearest(cells: npt.NDArray[np.int64], depth_m: FloatMap) -> npt.NDArray[np.int64]:
+    """Return the places, ascending, of the least depth in each cell; the first of equal ones."""
+    order = np.lexsort((depth_m, cells))
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = cells[order[1:]] != cells[order[:-1]]
+    return np.sort(order[first])
 
 
 def cells_of(points: Points, voxel_m: float) -> npt.NDArray[np.int64]:
@@ -125,8 +137,9 @@ def write_mesh(
     A truncated signed distance volume (Curless and Levoy, SIGGRAPH 1996) through open3d.
 
     Raises:
-        DataError: open3d cannot be imported, the views hold no surface, or open3d cannot write such a file.
+        DataError: the path ends in none of these, open3d cannot be imported, or the views hold no surface.
     """
+    _check_name(path, MESHES)
     open3d = _open3d()
     image, matrix, float32 = open3d.t.geometry.Image, open3d.core.Tensor, open3d.core.float32
     grid = open3d.t.geometry.VoxelBlockGrid(
@@ -152,7 +165,7 @@ def write_mesh(
     mesh.compute_vertex_normals()
     path.parent.mkdir(parents=True, exist_ok=True)
     if not open3d.io.write_triangle_mesh(str(path), mesh):
-        raise DataError(f"{path}: open3d cannot write this kind of file: name it .ply, .obj or .glb")
+        raise DataError(f"{path}: open3d could not write it: is the disk full?")
     return len(mesh.triangles)
 
 
@@ -167,7 +180,14 @@ def _open3d() -> Any:
         ) from error
 
 
+def _check_name(path: Path, suffixes: tuple[str, ...]) -> None:
+    """Refuse a file's name before anything is rendered."""
+    if path.suffix.lower() not in suffixes:
+        raise DataError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
+
+
 def _taken(view: RenderedView, config: CloudConfig) -> Depth:
     """Return the depth of the pixels that are taken."""
     depth = view.solid(config.opacity)
-    return depth.keep(depth.depth_m <= np.float32(config.farthest_m))
+    agree = np.abs(view.median_m - depth.depth_m) <= np.float32(config.agreement) * depth.depth_m
+    return depth.keep(agree & (depth.depth_m <= np.float32(config.farthest_m)))

@@ -6,7 +6,7 @@ renders/rgb/ID.png           8 bits, rounded
        /error/ID.jpg         image, render, colour error, depth and depth error with their bars
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
@@ -74,6 +74,22 @@ def save_error(renders: Path, id_: str, view: RenderedView, image: Image, truth:
     if truth is not None:
         tiles += [depth_tile(truth, "true depth"), error_tile(Depth(view.depth_m), truth)]
     codecs.write_image(picture_path(renders, "error", id_), panel(tiles, tile_width=min(828, max(400, rgb.shape[1]))))
+
+
+def load_view(renders: Path, id_: str) -> tuple[Image, Depth]:
+    """Read what save_view wrote: colour, and depth where the field is opaque."""
+    depth_m = codecs.read_depth_png(picture_path(renders, "depth", id_))
+    return codecs.read_image(picture_path(renders, "rgb", id_)), Depth(depth_m)
+
+
+def compare(id_: str, image: Image, truth: Depth | None, views: Sequence[tuple[str, Image, Depth]]) -> Image:
+    """Lay out a frame: image and true depth, then colour, depth and depth error of each view, named by its run."""
+    dark = Tile(image * 0, "")
+    tiles = [Tile(image, f"image {id_}"), dark if truth is None else depth_tile(truth, "true depth"), dark]
+    for name, rgb, depth in views:
+        tiles += [Tile(rgb, name), depth_tile(depth, "depth"), dark if truth is None else error_tile(depth, truth)]
+    used = 2 if truth is None else 3
+    return panel([tile for i, tile in enumerate(tiles) if i % 3 < used], used, 480)
 
 
 def paint_colour_error(rgb: Image, image: Image) -> Image:

@@ -100,10 +100,19 @@ def open_run(folder: Path) -> Run:
 
 
 def rebuild(kind: type[Made], record: dict[str, Any]) -> Made:
-    """Make a dataclass of what asdict made of it."""
+    """Make a dataclass of what asdict made of it; what an earlier version did not have yet takes its default.
+
+    Raises:
+        TypeError: a value without a default is missing, or there is one that this version does not know.
+    """
     hints = get_type_hints(kind)
+    unknown = record.keys() - hints.keys()
+    if unknown:
+        raise TypeError(f"{min(unknown)} is not known to this version")
     values = {}
     for each in fields(kind):  # type: ignore[arg-type]
+        if each.name not in record:
+            continue
         value = record[each.name]
         nested = hints[each.name]
         values[each.name] = rebuild(nested, value) if isinstance(nested, type) and is_dataclass(nested) else value

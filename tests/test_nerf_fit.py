@@ -1,5 +1,6 @@
 """Fits: they learn, resume bit for bit, and say in one line what cannot work. On a small analytic corridor."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -182,6 +183,13 @@ def test_a_run_is_read_back_and_kept_apart(tmp_path: Path) -> None:
     claim(tmp_path, replace(asked, fit=replace(asked.fit, steps=99)))
     with pytest.raises(DataError, match="other settings"):
         claim(tmp_path, replace(asked, views="dense"))
+    record = json.loads((tmp_path / "config.json").read_text())
+    del record["fit"]["losses"]["distortion"]
+    (tmp_path / "config.json").write_text(json.dumps(record))
+    assert open_run(tmp_path).config.fit.losses.distortion == LossConfig().distortion, "an earlier version's run"
+    (tmp_path / "config.json").write_text(json.dumps(record | {"novel": 1}))
+    with pytest.raises(DataError, match="novel is not known"):
+        open_run(tmp_path)
     (tmp_path / "config.json").write_text("{")
     with pytest.raises(DataError, match="damaged"):
         open_run(tmp_path)
