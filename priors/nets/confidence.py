@@ -89,7 +89,7 @@ def evidence(disparity_px: FloatMap, sigma_px: FloatMap, doubt: FloatMap) -> Flo
 def is_hidden(disparity_px: FloatMap) -> npt.NDArray[np.bool_]:
     """Tell which pixels of a left view the right one cannot see: beyond its edge, or behind a nearer surface.
 
-    A surface to the right of a pixel hides it where it lands at the same column of the right view or further left.
+    A surface to the right of a pixel hides it where it lands left of it in the right view, by half a pixel or more.
     """
     lands = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
     to_the_right = np.minimum.accumulate(lands[:, ::-1], axis=1)[:, ::-1]
