@@ -18,16 +18,17 @@ from torch import Tensor, nn
 from priors.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
 from priors.learn import loop, scans
+from priors.learn.accumulated import Drive
 from priors.learn.loop import Batch, TrainConfig
-from priors.learn.scans import Drive, Scene, Shown, Streets
-from priors.methods.completion import complete
+from priors.learn.scans import Scene, Shown, Streets
+from priors.methods.completion import EVERYWHERE_PX, complete
 from priors.nets import weights
-from priors.nets.mffnet import Completed, create
+from priors.nets.mffnet import Completed, Mffnet
 from priors.types import FloatMap, Image
 
 CROP = (256, 512)
-EVERYWHERE_PX = 1 << 20
-"""Reach of the pre-fill: the network gets a value in every pixel."""
+VALIDATED = (1, 1, 4, 1)
+"""Every how many-th scan line is shown for validation."""
 HUBER_M = 5.0
 """Errors beyond this count linearly: what neither image nor LiDAR tells must not drown the rest."""
 
@@ -61,7 +62,7 @@ class CompletionTask:
 
     def __post_init__(self) -> None:
         torch.manual_seed(0)
-        self.net = create(self.config.size)
+        self.net = Mffnet(self.config.size)
         self.streets = Streets(self.config.street)
         self.drive = None if self.config.real is None else Drive(self.config.real)
         self._held: dict[str, list[tuple[Shown, Batch]]] | None = None
@@ -149,7 +150,8 @@ class CompletionTask:
                 held["real"] = self.drive.validation
             self._held = {}
             for name, scenes in held.items():
-                shown = [scans.show(scene, np.random.default_rng([7, i])) for i, scene in enumerate(scenes)]
+                rng = np.random.default_rng(7)
+                shown = [scans.show(scene, rng, VALIDATED[i % 4]) for i, scene in enumerate(scenes)]
                 self._held[name] = [(one, prepare(one, one.scene.image, True)) for one in shown]
         return self._held
 
@@ -176,15 +178,15 @@ def prepare(shown: Shown, image: Image, knows_scanner: bool) -> Batch:
 
 def vary(image: Image, rng: np.random.Generator) -> Image:
     """Change exposure, contrast, colour, sharpness and noise as cameras do."""
-    values: FloatMap = image.astype(np.float32) / 255
+    values = image.astype(np.float32) / 255
     if rng.random() < 0.15:
-        values = np.repeat(values.mean(axis=2, keepdims=True), 3, axis=2)
-    gain = rng.uniform(0.6, 1.5) * (1 + rng.normal(0, 0.06, 3))
-    values = np.power(np.clip(values * gain.astype(np.float32), 0, 1), np.float32(rng.uniform(0.75, 1.3)))
-    values = (values - 0.4) * np.float32(rng.uniform(0.8, 1.25)) + 0.4
+        values[:] = values.mean(axis=2, keepdims=True)
+    gain = (rng.uniform(0.6, 1.5) * (1 + rng.normal(0, 0.06, 3))).astype(np.float32)
+    gamma, contrast = np.float32(rng.uniform(0.75, 1.3)), np.float32(rng.uniform(0.8, 1.25))
+    values = ((np.clip(values * gain, 0, 1) ** gamma - 0.4) * contrast + 0.4).astype(np.float32)
     if rng.random() < 0.3:
-        values = np.asarray(cv2.GaussianBlur(values, (0, 0), rng.uniform(0.4, 1.1)), np.float32)
-    values = values + rng.normal(0, rng.uniform(0, 0.025), (*values.shape[:2], 1)).astype(np.float32)
+        values[:] = cv2.GaussianBlur(values, (0, 0), rng.uniform(0.4, 1.1))
+    values += rng.normal(0, rng.uniform(0, 0.025), (*values.shape[:2], 1)).astype(np.float32)
     return (np.clip(values, 0, 1) * 255).astype(np.uint8)
 
 

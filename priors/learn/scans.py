@@ -1,7 +1,7 @@
 """What completion learns from: a scene's image, all its LiDAR points, and which of them the network is shown.
 
-Two kinds of scene: the procedural street, whose truth is dense and exact, and a real drive, where points that are not
-shown are the truth.
+Two kinds of scene: the procedural street, whose truth is dense and exact, and a real drive, whose truth is what several
+sweeps saw, accumulated and cleaned as the official truth of KITTI is.
 """
 
 from dataclasses import dataclass, replace
@@ -11,9 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors.drives.kitti_raw import KittiRaw
 from priors.errors import DataError
-from priors.geometry import transform
 from priors.learn import sample as samples
 from priors.methods.lidar import hidden
 from priors.street import rig
@@ -26,8 +24,6 @@ COVERED_PX = (15, 9)
 """Rows and columns around LiDAR samples for which official truth has values: 11 sweeps fill the gaps of one."""
 ASIDE = 0.05
 """Weight of the truth elsewhere: a scanner does not see it, but users do."""
-LINE_RAD = np.radians(np.concatenate([np.linspace(2.0, -8.33, 32), np.linspace(-8.83, -24.8, 32)]))
-"""Elevations of an HDL-64's lines."""
 RAGGED, AT_EDGES = 1.1, 0.35
 """Weight of truth whose 5x5 pixels differ by more than a ratio: leaves, outlines; official truth has fewer of them."""
 
@@ -44,8 +40,10 @@ class Scene:
     """(n, 3) in the camera's axes, inside the image."""
     beam: npt.NDArray[np.uint8]
     """(n,) scan line, 0 = the highest."""
-    truth_m: FloatMap | None
-    """(h, w) 0 = unknown; None: only the points tell."""
+    truth_m: FloatMap
+    """(h, w) 0 = unknown."""
+    real: bool
+    """Truth is accumulated LiDAR, sparse and with what its cleaning left over."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,42 +73,21 @@ class Streets:
         """Read a sample."""
         found = samples.read(path)
         truth_m = np.where(found.depth_m < FARTHEST_M, found.depth_m, np.float32(0))
-        return Scene(found.left, found.camera, rig.T_left_velo(), found.points_m, found.beam, truth_m)
+        return Scene(found.left, found.camera, rig.T_left_velo(), found.points_m, found.beam, truth_m, real=False)
 
 
-class Drive:
-    """A KITTI raw drive with sweeps, held in memory; the last frames are for validation."""
-
-    def __init__(self, folder: Path, held_out: int = 4) -> None:
-        drive = KittiRaw(folder)
-        scenes = [self._scene(drive, index) for index in range(len(drive))]
-        self.train, self.validation = scenes[:-held_out], scenes[-held_out:]
-
-    @staticmethod
-    def _scene(drive: KittiRaw, index: int) -> Scene:
-        frame = drive[index]
-        sweep = frame.sweep()
-        if sweep is None or frame.T_cam_lidar is None:
-            raise DataError(f"{drive.name}: frame {frame.id} has no sweep: nothing to learn from")
-        xyz_m = sweep.xyz_m.astype(np.float64)
-        elevation = np.arctan2(xyz_m[:, 2], np.hypot(xyz_m[:, 0], xyz_m[:, 1]))
-        beam = 63 - np.searchsorted(0.5 * (LINE_RAD[:-1] + LINE_RAD[1:])[::-1], elevation)
-        seen = transform(frame.T_cam_lidar, xyz_m).astype(np.float32)
-        inside = pixels(seen, frame.camera)[1]
-        return Scene(frame.image(), frame.camera, frame.T_cam_lidar, seen[inside], beam[inside].astype(np.uint8), None)
-
-
-def show(scene: Scene, rng: np.random.Generator) -> Shown:
-    """Choose which points are shown: scan lines, random points, holes; and give what is not shown as the truth."""
-    kept = _choose(scene.points_m, scene.beam, rng, real=scene.truth_m is None)
+def show(scene: Scene, rng: np.random.Generator, every: int | None = None) -> Shown:
+    """Choose which points are shown: each `every`-th scan line; None: also random points, fewer of them, or holes."""
+    kept = scene.beam % every == 0 if every else _choose(scene.points_m, scene.beam, rng, scene.real)
     points_m = scene.points_m
-    if scene.truth_m is not None and rng.random() < 0.5:
+    if not scene.real and not every and rng.random() < 0.5:
         points_m = _misplace(points_m, rng)
     sparse_m = splat(points_m[kept], scene.camera)
     every_m = splat(scene.points_m, scene.camera)
-    if scene.truth_m is None:
+    if scene.real:
         every_m[hidden(np.where(every_m > 0, every_m, np.float32(np.inf)), scene.camera.fx)] = 0
-        truth_m = np.where(sparse_m > 0, np.float32(0), every_m)
+        unseen_m = np.where(sparse_m > 0, np.float32(0), every_m)
+        truth_m = np.where(unseen_m > 0, unseen_m, scene.truth_m)
         return Shown(scene, sparse_m, truth_m, (truth_m > 0).astype(np.float32))
     around = np.ones((2 * COVERED_PX[0] + 1, 2 * COVERED_PX[1] + 1), np.uint8)
     covered = cv2.dilate((every_m > 0).astype(np.uint8), around) > 0
@@ -126,14 +103,13 @@ def crop(scene: Scene, top: int, left: int, size: tuple[int, int]) -> Scene:
     K[:2, 2] -= left, top
     camera = Camera(K, size)
     inside = pixels(scene.points_m, camera)[1]
-    truth_m = None if scene.truth_m is None else scene.truth_m[rows, columns]
     return replace(
         scene,
         image=scene.image[rows, columns],
         camera=camera,
         points_m=scene.points_m[inside],
         beam=scene.beam[inside],
-        truth_m=truth_m,
+        truth_m=scene.truth_m[rows, columns],
     )
 
 
@@ -142,13 +118,13 @@ def flip(scene: Scene) -> Scene:
     K, T = scene.camera.K.copy(), scene.T_cam_lidar.copy()
     K[0, 2] = scene.camera.size[1] - 1 - K[0, 2]
     T[0, 3] *= -1  # only where the scanner stands is ever looked at
-    return Scene(
-        np.ascontiguousarray(scene.image[:, ::-1]),
-        Camera(K, scene.camera.size),
-        T,
-        scene.points_m * np.array([-1, 1, 1], np.float32),
-        scene.beam,
-        None if scene.truth_m is None else np.ascontiguousarray(scene.truth_m[:, ::-1]),
+    return replace(
+        scene,
+        image=np.ascontiguousarray(scene.image[:, ::-1]),
+        camera=Camera(K, scene.camera.size),
+        T_cam_lidar=T,
+        points_m=scene.points_m * np.array([-1, 1, 1], np.float32),
+        truth_m=np.ascontiguousarray(scene.truth_m[:, ::-1]),
     )
 
 
@@ -156,8 +132,8 @@ def rescale(scene: Scene, factor: float) -> Scene:
     """Make everything larger; the image stays as it is."""
     T = scene.T_cam_lidar.copy()
     T[:3, 3] *= factor
-    truth_m = None if scene.truth_m is None else (scene.truth_m * np.float32(factor)).astype(np.float32)
-    return replace(scene, T_cam_lidar=T, points_m=(scene.points_m * np.float32(factor)), truth_m=truth_m)
+    size = np.float32(factor)
+    return replace(scene, T_cam_lidar=T, points_m=scene.points_m * size, truth_m=scene.truth_m * size)
 
 
 def pixels(points_m: Points, camera: Camera) -> tuple[npt.NDArray[np.intp], Mask]:
@@ -195,7 +171,7 @@ def _choose(points_m: Points, beam: npt.NDArray[np.uint8], rng: np.random.Genera
     kept = beam % every == rng.integers(every)
     if rng.random() < 0.3:
         kept &= rng.random(count) < rng.uniform(0.3, 1)
-    if real and every == 1:
+    if real and rng.random() < 0.4:
         kept &= ~_gaps(points_m, beam, rng)
     elif rng.random() < 0.3:
         kept &= ~_holes(points_m, rng)

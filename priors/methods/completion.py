@@ -1,4 +1,6 @@
-"""Dense depth from sparse LiDAR and one image, without learning.
+"""Dense depth from sparse LiDAR and one image: without learning, or mended by a network (_completion_network.py).
+
+Without learning:
 
 1. Samples that the camera cannot see (a scanner beside it looks past near edges) are dropped, and doubtful ones
    handicapped.
@@ -13,19 +15,23 @@ All lengths are in units of the samples' own spacing, so that 64 lines, 8 lines 
 
 import threading
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal, Self
 
 import cv2
 import numpy as np
+import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.methods.lidar import Lidar
-from priors.types import Camera, Depth, FloatMap, Frame, Image, Matrix
+from priors.types import Camera, Depth, FloatMap, Frame, Image, Mask, Matrix
 
 if TYPE_CHECKING:
     from priors.kernels.samples import Samples
 
 SHRINK, LEVELS = 6, 3  # from one level to the next, and how many: the coarsest cell is 36 pixels
+SAMPLE_M = 1e-3, 1e4  # what is not in between is no sample
+EVERYWHERE_PX = 1 << 20  # as reach_px: a value in every pixel
 CELL_PX = 4  # grid of the tests that need no pixel's precision
 LARGEST_GAP_PX = 48  # spacing beyond which the coarser levels do the filling
 BEHIND = 1.1  # ratio of depths from which on two samples are of different surfaces
@@ -55,11 +61,21 @@ class Completion:
     """How much the image's brightness decides which sample a pixel follows; 0: only distance does."""
     reach_px: int = 64
     """Pixels farther than this from any sample (to within 4) get no value: the sky, mostly."""
+    model: Literal["classical", "mffnet"] = "classical"
+    """classical: no learning; mffnet: a network mends what that fills, and says how sure it is."""
+    size: Literal["s", "m"] = "m"
+    """Of the network: small is faster."""
+    runtime: Literal["auto", "bf16", "fp32", "cuda"] = "auto"
+    """What runs the network; auto: CUDA where there is one, bf16 on CPUs that have it, else fp32."""
+    weights: Path | None = None
+    """Your own weights for the network, .safetensors; default: those that come with the package."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.guidance) and self.guidance >= 0 and self.reach_px >= 0):
             found = f"guidance {self.guidance} and reach-px {self.reach_px}"
             raise DataError(f"completion: expected guidance >= 0 and reach-px >= 0, found {found}")
+        if self.model == "classical" and self.weights is not None:
+            raise DataError(f"--completion.weights {self.weights}: of a network: ask for it by --completion.model")
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -71,18 +87,56 @@ class Completion:
         source = self.source
         if source == "auto":
             source = "velodyne_raw" if frame.has("sparse") else "lidar"
-        return replace(self, source=source, lidar=self.lidar.resolve(frame))
+        resolved = replace(self, source=source, lidar=self.lidar.resolve(frame))
+        if self.model == "classical":
+            return replace(resolved, size=type(self).size, runtime=type(self).runtime)  # they decide nothing
+        from priors.nets import runtime
+
+        chosen = runtime.choose(self.runtime, self.weights)
+        if chosen == "onnx":
+            raise DataError(f"{self.weights}: completion runs no ONNX files: name the network's .safetensors")
+        return replace(resolved, runtime=chosen)
+
+    def weights_digest(self) -> str | None:
+        """Return the hash of the network's weights, for the cache's key; None for the classical method."""
+        if self.model == "classical":
+            return None
+        from priors.nets import weights
+
+        return weights.digest(weights.find(self.model, self.size, self.weights))
 
     def __call__(self, frame: Frame) -> Depth:
         """Make the dense map (height, width), metres along the camera's z axis, with confidence.
 
-        Raises DataError where the drive has neither sparse maps nor a LiDAR.
+        Raises DataError where the drive has neither sparse maps nor a LiDAR, or the network's weights are missing.
         """
         config = self.resolve(frame)
         sparse = frame.sparse() if config.source == "velodyne_raw" else config.lidar(frame)
         # What the lidar method accumulates was seen from many places, and is cleaned of what the camera does not see.
         T_cam_lidar = frame.T_cam_lidar if config.source == "velodyne_raw" else None
-        return complete(sparse.depth_m, frame.image(), frame.camera, T_cam_lidar, self.guidance, self.reach_px)
+        given = sparse.depth_m, frame.image(), frame.camera, T_cam_lidar, self.guidance
+        if config.model == "classical":
+            return complete(*given, self.reach_px)
+        return config.mend(*given)
+
+    def mend(
+        self,
+        sparse_m: FloatMap,
+        image: Image,
+        camera: Camera,
+        T_cam_lidar: Matrix | None = None,
+        guidance: float = 1.0,
+    ) -> Depth:
+        """Fill a sparse map as `complete` does, and let the network correct it; where no sample is near, both are 0."""
+        from priors.methods import _completion_network as network
+        from priors.nets import runtime
+
+        ready = network.open_network(self.size, runtime.choose(self.runtime, self.weights), self.weights)
+        fill = complete(sparse_m, image, camera, T_cam_lidar, guidance, EVERYWHERE_PX)
+        if not fill.valid.any():
+            return fill  # no sample, no value
+        sparse_m = np.where((sparse_m > SAMPLE_M[0]) & (sparse_m < SAMPLE_M[1]), sparse_m, np.float32(0))
+        return network.mend(ready, fill, sparse_m, image, near_samples(sparse_m, self.reach_px))
 
 
 def complete(
@@ -199,12 +253,27 @@ def _finish(
     crisp, soft = _hold("finish", (2, *size))
     cv2.medianBlur(inverse[pad : pad + size[0], pad : pad + size[1]], 5, dst=crisp)
     cv2.GaussianBlur(crisp, (3, 3), 0, dst=soft)
-    empty = _thin(samples, size, CELL_PX) == 0
-    within = (CELL_PX * cv2.distanceTransform(empty.astype(np.uint8), cv2.DIST_L2, 3) <= reach_px).astype(np.uint8)
-    near = cv2.resize(within, None, fx=CELL_PX, fy=CELL_PX, interpolation=cv2.INTER_NEAREST)
+    near = _near(samples, size, reach_px)
     limits = np.float32(samples[3].min() * 0.8), np.float32(samples[3].max() * 1.25)
     spread.finish(crisp, soft, certain, pad, near, *limits, EDGE, depth_m, confidence)
     return Depth(depth_m, confidence)
+
+
+def near_samples(sparse_m: FloatMap, reach_px: int) -> Mask:
+    """Tell which pixels (height, width) are within reach_px (to within 4) of a sample."""
+    from priors.kernels.samples import gather
+
+    height, width = sparse_m.shape
+    near = _near(gather(np.ascontiguousarray(sparse_m, dtype=np.float32)), sparse_m.shape, reach_px)
+    return near[:height, :width] > 0
+
+
+def _near(samples: "Samples", size: tuple[int, ...], reach_px: int) -> npt.NDArray[np.uint8]:
+    """Return 1 near a sample, else 0; up to CELL_PX - 1 rows and columns larger than size."""
+    empty = _thin(samples, size, CELL_PX) == 0
+    within = (CELL_PX * cv2.distanceTransform(empty.astype(np.uint8), cv2.DIST_L2, 3) <= reach_px).astype(np.uint8)
+    near = cv2.resize(within, None, fx=CELL_PX, fy=CELL_PX, interpolation=cv2.INTER_NEAREST)
+    return np.asarray(near, np.uint8)
 
 
 def _hold(name: str, shape: tuple[int, ...]) -> FloatMap:

@@ -1,8 +1,9 @@
 """Depth completion after MFFNet (Liu et al., 2023), for CPUs: two modalities, fused by gates at every scale.
 
 An image branch and a depth branch exchange channels at every scale. One decoder follows the depth branch, the other
-climbs the gated fusions of both by pixel shuffle; each corrects the pre-fill, and they are mixed with weights that they
-predict. What MFFNet spends elsewhere (122 M parameters, full-size layers, a learned pre-fill) is left out.
+climbs the gated fusions of both by pixel shuffle; each ends in a correction of the pre-fill, and the two are mixed by a
+predicted weight. What MFFNet spends elsewhere (122 M parameters, full-size layers, a learned pre-fill) is left out, and
+memory traffic is kept low: at 1/2 of the image's size a copy costs as much as a convolution at 1/4.
 """
 
 from dataclasses import dataclass
@@ -20,8 +21,8 @@ SIZES: dict[str, tuple[int, ...]] = {"s": (16, 32, 48, 64, 96), "m": (16, 48, 64
 """Channels at 1/2, 1/4, 1/8, 1/16 and 1/32 of the image."""
 LARGEST_CHANGE = 3.0
 """The correction's bound, in e-folds of depth: 20 times nearer or farther."""
-SMALLEST_SCALE, LARGEST_SCALE = -7.0, 1.0
-"""Bounds of the logarithm of the predicted scale."""
+FIRST_SCALE, SMALLEST_SCALE, LARGEST_SCALE = -3.5, -7.0, 1.0
+"""The logarithm of the predicted scale before training, and its bounds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,22 +37,28 @@ class Completed:
     """The two outputs before mixing, each (b, h, w): for the losses; empty in eval mode."""
 
 
-class MffNet(nn.Module):
+class Mffnet(nn.Module):
     """Corrects a filled depth map with the image and the samples that it was filled from."""
 
-    def __init__(self, channels: tuple[int, ...] = SIZES["m"]) -> None:
+    def __init__(self, size: str = "m") -> None:
+        """Raises DataError for a size that is not in SIZES."""
         super().__init__()
-        self.channels = channels
-        finest = channels[0]
+        if size not in SIZES:
+            raise DataError(f"mffnet has sizes {', '.join(SIZES)}, not {size}")
+        finest, quarter, *_ = self.channels = SIZES[size]
+        steps = list(pairwise(self.channels))
         self.image_stem, self.depth_stem = _stem(3, finest), _stem(4, finest)
-        steps = list(pairwise(channels))
         self.image_down = nn.ModuleList(nn.Sequential(conv(a, b, stride=2), Residual(b)) for a, b in steps)
         self.depth_down = nn.ModuleList(nn.Sequential(conv(a, b, stride=2), Residual(b)) for a, b in steps)
-        self.fuse = nn.ModuleList(Fuse(c) for c in channels[1:])
+        self.fuse = nn.ModuleList(Fuse(c) for c in self.channels[1:])
         self.lower = nn.ModuleList(conv(b, a, 1) for a, b in steps)
-        self.up = nn.ModuleList(conv((3 if a == finest else 2) * a, a) for a in channels[:-1])
-        self.ladder = nn.ModuleList(conv((2 if a == finest else 1) * a + b // 4, a) for a, b in steps)
-        self.heads = nn.ModuleList([_head(finest), _head(finest)])
+        self.up = nn.ModuleList(conv(2 * a, a) for a, _ in steps[1:])
+        self.ladder = nn.ModuleList(conv(a + b // 4, a) for a, b in steps[1:])
+        self.meet = conv(3 * finest + quarter // 4, 2 * finest)
+        self.head = nn.Conv2d(2 * finest, 16, 3, padding=1)
+        assert self.head.bias is not None
+        nn.init.zeros_(self.head.weight)  # the pre-fill is where training starts
+        nn.init.zeros_(self.head.bias)
 
     def forward(self, image: Tensor, fill_m: Tensor, certain: Tensor, sparse_m: Tensor) -> Completed:
         """Correct a pre-fill.
@@ -66,51 +73,43 @@ class MffNet(nn.Module):
             Depth within e^LARGEST_CHANGE of the pre-fill's, and its expected error.
         """
         height, width = image.shape[-2:]
-        kind = next(self.parameters()).dtype
-        log_fill = fill_m.float().log()
-        mean = log_fill.mean(dim=(1, 2), keepdim=True)
-        there = sparse_m > 0
-        against = torch.where(there, sparse_m.float().clamp_min(1e-6).log() - log_fill, 0.0)  # what the fill left out
-        depth = torch.stack([log_fill - mean, certain.float(), there.float(), 4 * against], dim=1)
-        layout = torch.channels_last
-        image = pad(normalise(image)).to(kind, memory_format=layout)
-        depth = pad(depth).to(kind, memory_format=layout)
-        first, second = self._decode(*self._encode(image, depth))
-        weight = torch.sigmoid(first[:, 8:] - second[:, 8:])
-        mixed = torch.lerp(second[:, :8], first[:, :8], weight.repeat(1, 2, 1, 1))
+        kind = self.head.weight.dtype
+        log_fill = fill_m.log()
+        depth = describe(log_fill, certain, sparse_m, kind)
+        image = normalise(image.to(kind, memory_format=torch.channels_last))
+        raw = self._decode(*self._encode(pad(image), pad(depth)))
+        first, second, choice, scale = F.pixel_shuffle(raw, 2)[:, :, :height, :width].float().unbind(dim=1)
 
-        def correct(raw: Tensor) -> Tensor:
-            change = F.pixel_shuffle(raw[:, :4], 2)[:, 0, :height, :width].float()
+        def correct(change: Tensor) -> Tensor:
             return torch.exp(log_fill + change.clamp(-LARGEST_CHANGE, LARGEST_CHANGE))
 
-        log_scale = F.pixel_shuffle(mixed[:, 4:], 2)[:, 0, :height, :width].float() - 3.5
+        mixed = correct(torch.lerp(second, first, torch.sigmoid(choice)))
         branches = (correct(first), correct(second)) if self.training else ()
-        return Completed(correct(mixed), log_scale.clamp(SMALLEST_SCALE, LARGEST_SCALE), branches)
+        return Completed(mixed, (scale + FIRST_SCALE).clamp(SMALLEST_SCALE, LARGEST_SCALE), branches)
 
     def _encode(self, image: Tensor, depth: Tensor) -> tuple[list[Tensor], list[Tensor]]:
-        """Return both modalities' features at every scale, finest first, channels exchanged."""
-        seen, measured = self.image_stem(image), self.depth_stem(depth)
-        images, depths = [seen], [measured]
-        for image_down, depth_down in zip(self.image_down, self.depth_down, strict=True):
-            seen, measured = exchange(image_down(seen), depth_down(measured))
+        """Return both modalities' features at every scale, finest first, channels exchanged from 1/8 on."""
+        images, depths = [self.image_stem(image)], [self.depth_stem(depth)]
+        for level, (image_down, depth_down) in enumerate(zip(self.image_down, self.depth_down, strict=True)):
+            seen, measured = image_down(images[-1]), depth_down(depths[-1])
+            if level:
+                seen, measured = exchange(seen, measured)
             images.append(seen)
             depths.append(measured)
         return images, depths
 
-    def _decode(self, images: list[Tensor], depths: list[Tensor]) -> tuple[Tensor, Tensor]:
-        """Return both branches' outputs (b, 12, h/2, w/2): changes, scales and mixing weights of 2x2 pixels each."""
+    def _decode(self, images: list[Tensor], depths: list[Tensor]) -> Tensor:
+        """Return two changes, their choice and the scale, 2x2 pixels each: (b, 16, h/2, w/2)."""
         fused = [fuse(a, b) for fuse, a, b in zip(self.fuse, images[1:], depths[1:], strict=True)]
         first = second = fused[-1]
-        for level in range(len(self.channels) - 2, -1, -1):
-            above = F.interpolate(self.lower[level](first), scale_factor=2.0, mode="nearest")
-            climbed = F.pixel_shuffle(second, 2)
-            if level:
-                first = self.up[level](torch.cat([above, depths[level]], dim=1))
-                second = self.ladder[level](torch.cat([climbed, fused[level - 1]], dim=1))
-            else:  # a gate at 1/2 would cost as much as all the others
-                first = self.up[0](torch.cat([above, depths[0], images[0]], dim=1))
-                second = self.ladder[0](torch.cat([climbed, depths[0], images[0]], dim=1))
-        return self.heads[0](first), self.heads[1](second)
+        for level in range(len(fused) - 2, -1, -1):
+            above = F.interpolate(self.lower[level + 1](first), scale_factor=2.0, mode="nearest")
+            first = self.up[level](torch.cat([above, depths[level + 1]], dim=1))
+            second = self.ladder[level](torch.cat([F.pixel_shuffle(second, 2), fused[level]], dim=1))
+        above = F.interpolate(self.lower[0](first), scale_factor=2.0, mode="nearest")
+        found = self.meet(torch.cat([above, F.pixel_shuffle(second, 2), depths[0], images[0]], dim=1))
+        raw: Tensor = self.head(found)
+        return raw
 
 
 class Fuse(nn.Module):
@@ -119,13 +118,12 @@ class Fuse(nn.Module):
     def __init__(self, channels: int) -> None:
         super().__init__()
         self.joint = conv(2 * channels, channels)
-        self.gates = nn.Conv2d(channels, 2 * channels, 1)
+        self.gate = nn.Conv2d(channels, channels, 1)
 
     def forward(self, image: Tensor, depth: Tensor) -> Tensor:
         """Fuse."""
-        joint = self.joint(torch.cat([image, depth], dim=1))
-        of_image, of_depth = torch.sigmoid(self.gates(joint)).chunk(2, dim=1)
-        return joint + of_image * image + of_depth * depth
+        joint: Tensor = self.joint(torch.cat([image, depth], dim=1))
+        return joint + torch.lerp(depth, image, torch.sigmoid(self.gate(joint)))
 
 
 def exchange(image: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
@@ -134,22 +132,19 @@ def exchange(image: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
     return torch.cat([image[:, :half], depth[:, half:]], 1), torch.cat([depth[:, :half], image[:, half:]], 1)
 
 
+def describe(log_fill: Tensor, certain: Tensor, sparse_m: Tensor, kind: torch.dtype) -> Tensor:
+    """Return what the depth branch sees, (b, 4, h, w), channels-last.
+
+    Logarithm of the pre-fill against its mean, confidence, where samples are, and by how much the pre-fill left them.
+    """
+    mean = log_fill.mean(dim=(1, 2), keepdim=True)
+    there = sparse_m > 0
+    left = torch.where(there, 4 * (sparse_m.clamp_min(1e-6).log() - log_fill), 0.0)
+    maps = (log_fill - mean, certain, there, left)
+    return torch.stack([one.to(kind) for one in maps], dim=3).permute(0, 3, 1, 2)
+
+
 def _stem(inputs: int, outputs: int) -> nn.Sequential:
-    """Return layers from full size to 1/2; the first is a pixel-unshuffle and a 1x1 convolution in one."""
-    first = nn.Sequential(nn.Conv2d(inputs, outputs, 2, 2, bias=False), nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))
-    return nn.Sequential(first, conv(outputs, outputs))
-
-
-def _head(channels: int) -> nn.Sequential:
-    last = nn.Conv2d(channels, 12, 3, padding=1)
-    nn.init.zeros_(last.weight)  # the pre-fill is where training starts
-    assert last.bias is not None
-    nn.init.zeros_(last.bias)
-    return nn.Sequential(conv(channels, channels), last)
-
-
-def create(size: str) -> MffNet:
-    """Make the network in a size of SIZES, with fresh weights; DataError for another size."""
-    if size not in SIZES:
-        raise DataError(f"mffnet has sizes {', '.join(SIZES)}, not {size}")
-    return MffNet(SIZES[size])
+    """Return a pixel-unshuffle to 1/2 and a 1x1 convolution in one."""
+    first = nn.Conv2d(inputs, outputs, 2, 2, bias=False)
+    return nn.Sequential(first, nn.BatchNorm2d(outputs), nn.ReLU(inplace=True))

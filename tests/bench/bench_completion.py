@@ -1,6 +1,6 @@
 """What completion costs and gains over the morphological recipe: python tests/bench/bench_completion.py [DRIVE].
 
-Frames with sparse maps and truth, by default 5-16 of drive 0001. First both methods' times, interleaved, with images
+Frames with sparse maps and truth, by default 5-16 of drive 0001. First the methods' times, interleaved, with images
 and maps in memory; then every depth metric (protocol uncapped); then error against the number of scan lines kept.
 """
 
@@ -16,15 +16,19 @@ import numpy as np
 from eval.protocol import preset
 from eval.result import Result, score
 from eval.table import show
+from priors.codecs import write_image
 from priors.drives import open_drive
+from priors.errors import DataError
 from priors.geometry import invert, rays, transform
-from priors.methods.completion import complete
+from priors.methods.completion import Completion, complete
+from priors.plot import Line, plot
 from priors.types import Depth, Frame
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 DRIVE = SHARED / "data/kitti_raw/2011_09_26/2011_09_26_drive_0001_sync"
 DIAMOND = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
 FAR_M = 100.0
+Fill = Callable[[Frame, np.ndarray, np.ndarray], Depth]
 
 
 def recipe(sparse_m: np.ndarray) -> Depth:
@@ -62,46 +66,76 @@ def clock(fill: Callable[..., Depth], *given: Any) -> float:
     return 1e3 * (time.perf_counter() - start)
 
 
-def time_both(held: list, rounds: int = 6) -> None:
+def fills(weights: Path | None) -> dict[str, Fill]:
+    """Return the methods compared; the network only where its weights are."""
+    found: dict[str, Fill] = {"recipe": lambda frame, image, sparse_m: recipe(sparse_m)}
+    found["completion"] = lambda frame, image, sparse_m: complete(sparse_m, image, frame.camera, frame.T_cam_lidar)
+    network = Completion(model="mffnet", weights=weights)
+    try:
+        network.weights_digest()
+    except DataError as error:
+        print(f"without the network: {error}")
+    else:
+        found["mffnet"] = lambda frame, image, sparse_m: network.mend(sparse_m, image, frame.camera, frame.T_cam_lidar)
+    return found
+
+
+def time_all(held: list, methods: dict[str, Fill], rounds: int) -> None:
     spent = []
     for _ in range(rounds + 1):
         for frame, image, sparse_m, _ in held:
-            spent.append((clock(recipe, sparse_m), clock(complete, sparse_m, image, frame.camera, frame.T_cam_lidar)))
-    a, b = np.array(spent[len(held) :]).T  # the first round warms up
-    print(
-        f"recipe {np.median(a):.1f} ms, completion {np.median(b):.1f} ms, ratio {np.median(b / a):.2f} (pairs' median)"
-    )
+            spent.append([clock(fill, frame, image, sparse_m) for fill in methods.values()])
+    table = np.array(spent[len(held) :])  # the first round warms up
+    for name, ms in zip(methods, table.T, strict=True):
+        ratio = np.median(ms / table[:, 0])
+        print(f"{name}: median {np.median(ms):.1f} ms, fastest {ms.min():.1f} ms, {ratio:.2f} x the recipe (pairs)")
 
 
-def score_both(held: list, every: int = 1) -> list[Result]:
+def score_all(held: list, methods: dict[str, Fill], every: int = 1) -> list[Result]:
     results = []
-    for name in ("recipe", "completion"):
+    for name, fill in methods.items():
         scored = []
         for frame, image, sparse_m, truth_m in held:
             samples = sparse_m if every == 1 else keep_lines(frame, sparse_m, every)
-            depth = recipe(samples)
-            if name == "completion":
-                depth = complete(samples, image, frame.camera, frame.T_cam_lidar)
+            depth = fill(frame, image, samples)
             scored.append((frame.id, depth.depth_m, depth.confidence, truth_m))
         results.append(score(scored, preset("uncapped"), info={"prior": name}))
     return results
 
 
+def draw(lines: list[int], errors: dict[str, list[float]]) -> np.ndarray:
+    """Plot error over the number of lines, both as powers of two."""
+    steps = np.log2(lines)
+    curves = [Line(name, steps, np.array(values)) for name, values in errors.items()]
+    return plot(curves, "scan lines, 2^x", "AbsRel, %", "completion")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("drive", nargs="?", type=Path, default=DRIVE)
-    drive = open_drive(parser.parse_args().drive)
+    parser.add_argument("--weights", type=Path, help="of the network, instead of those that ship")
+    parser.add_argument("--plot", type=Path, help="PNG to write error against scan lines to")
+    parser.add_argument("--rounds", type=int, default=6, help="of timing; 0: none")
+    given = parser.parse_args()
+    drive = open_drive(given.drive)
     frames = [frame for frame in (drive[i] for i in range(len(drive))) if frame.has("sparse") and frame.has("truth")]
     held = [(f, f.image(), f.sparse().depth_m, f.truth().depth_m) for f in frames]
     print(f"{drive.name}: {len(held)} frames, {held[0][0].camera.size[1]}x{held[0][0].camera.size[0]}")
-    time_both(held)
-    show(score_both(held))
-    for every in (1, 2, 4, 8):
+    methods = fills(given.weights)
+    if given.rounds:
+        time_all(held, methods, given.rounds)
+    show(score_all(held, methods))
+    errors: dict[str, list[float]] = {name: [] for name in methods}
+    lines = [64, 32, 16, 8]
+    for kept in lines:
         cells = []
-        for result in score_both(held, every):
-            figures = result.metrics()
-            cells.append(f"{result.info['prior']} AbsRel {figures['abs_rel']:.4f} RMSE {figures['rmse']:.3f} m")
-        print(f"{64 // every:3d} lines: {', '.join(cells)}")
+        for result in score_all(held, methods, 64 // kept):
+            figures, name = result.metrics(), result.info["prior"]
+            errors[name].append(100 * figures["abs_rel"])
+            cells.append(f"{name} {figures['abs_rel']:.4f} {figures['rmse']:.3f} m {figures['mae']:.3f} m")
+        print(f"{kept:3d} lines, AbsRel RMSE MAE: {', '.join(cells)}")
+    if given.plot:
+        write_image(given.plot, draw(lines, errors))
 
 
 if __name__ == "__main__":
