@@ -35,23 +35,23 @@ class Warping(nn.Module):
         self.body = nn.Sequential(*(Residual(width, dilation) for dilation in dilations))
         self.change = nn.Conv2d(width, 1, 3, padding=1)
         self.weights = nn.Conv2d(width, 36, 1)
-        self.doubt = nn.Conv2d(width, 1, 3, padding=1)
 
     def forward(
         self, left: Tensor, right: Tensor, disparity_px: Tensor, sigma_px: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Take features (b, c, h, w), disparity and sigma (b, h, w) in their pixels.
 
-        Returns the refined disparity (b, h, w), upsampling logits (b, 36, h, w) and doubt (b, h, w).
+        Returns the refined disparity (b, h, w), upsampling logits (b, 36, h, w) and features (b, width, h, w).
         """
         a, b = unit(self.head(left), GROUPS), unit(self.head(right), GROUPS)
+        here_px = disparity_px.detach()
         step = torch.arange(-self.reach_px, self.reach_px + 1, device=left.device, dtype=torch.float32)
-        volume = lookup(a, b, disparity_px[..., None] + step, GROUPS).permute(0, 1, 4, 2, 3).flatten(1, 2)
-        difference = (a - shift(b, disparity_px)).permute(0, 3, 1, 2)
-        known = torch.stack([disparity_px * 0.05, torch.log(sigma_px + 0.05)], dim=1).to(left.dtype)
+        volume = lookup(a, b, here_px[..., None] + step, GROUPS).permute(0, 1, 4, 2, 3).flatten(1, 2)
+        difference = (a - shift(b, here_px)).permute(0, 3, 1, 2)
+        known = torch.stack([here_px * 0.05, torch.log(sigma_px.detach() + 0.05)], dim=1).to(left.dtype)
         body = self.body(self.first(torch.cat([left, difference, volume, known], dim=1)))
         refined = (disparity_px + self.change(body)[:, 0].float()).clamp(min=0)
-        return refined, self.weights(body), self.doubt(body)[:, 0].float()
+        return refined, self.weights(body), body
 
 
 class Pcwnet(nn.Module):
@@ -67,6 +67,7 @@ class Pcwnet(nn.Module):
         self.lift = conv(channels[0], 16, 1)
         self.features = conv(16 + 12, 32)
         self.fine = Warping(32, 2, 32, (1, 1))
+        self.doubt = nn.Conv2d(32, 1, 3, padding=1)
 
     def forward(self, left: Tensor, right: Tensor, largest_px: int) -> StereoOut:
         """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32)."""
@@ -76,12 +77,12 @@ class Pcwnet(nn.Module):
         ours, theirs = [f.chunk(2)[0] for f in levels], [f.chunk(2)[1] for f in levels]
         coarse = self.coarse(ours, theirs, largest_px // 8)
         disparity, sigma = finer([coarse.disparity_px, coarse.sigma_px], self.to_quarter(ours[1]))
-        disparity4, weights, _ = self.quarter(ours[0], theirs[0], disparity.detach(), sigma.detach())
-        disparity, sigma = finer([disparity4, sigma.detach()], weights)
+        disparity4, weights, _ = self.quarter(ours[0], theirs[0], disparity, sigma)
+        disparity, sigma = finer([disparity4, sigma], weights)
         above = F.interpolate(self.lift(levels[0]), scale_factor=2.0, mode="nearest")
         a, b = self.features(torch.cat([F.pixel_unshuffle(images, 2), above], dim=1)).chunk(2)
-        disparity2, weights, doubt = self.fine(a, b, disparity.detach(), sigma)
+        disparity2, weights, body = self.fine(a, b, disparity, sigma)
         full, sigma = finer([disparity2, sigma], weights)
-        doubt = F.interpolate(doubt[:, None], scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
+        doubt = F.interpolate(self.doubt(body).float(), scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
         stages = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)] if self.training else []
         return StereoOut(*(m[:, :height, :width] for m in (full, sigma, doubt)), stages)

@@ -1,0 +1,200 @@
+"""The networks' parts against their slow obvious twins, and what any stereo network must hold to."""
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor, nn
+
+from priors.nets import matching, volume
+from priors.nets.blocks import Residual, channels_last, conv, fold
+from priors.nets.cfnet import Cfnet, Range
+from priors.nets.pcwnet import Pcwnet
+from priors.nets.trunk import Trunk, pad
+from priors.nets.upsample import convex
+
+NETWORKS = [Cfnet, Pcwnet]
+
+
+def naive_lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
+    batch, height, width, channels = left.shape
+    planes, size = disparity_px.shape[3], channels // groups
+    out = torch.zeros(batch, groups, height, width, planes)
+    for b, y, x, p in np.ndindex(batch, height, width, planes):
+        column = x - float(disparity_px[b, y, x, p])
+        if not 0 <= column <= width - 1:
+            continue
+        x0 = min(int(np.floor(column)), width - 2)
+        there = right[b, y, x0] + (column - x0) * (right[b, y, x0 + 1] - right[b, y, x0])
+        for g in range(groups):
+            part = slice(g * size, (g + 1) * size)
+            out[b, g, y, x, p] = (left[b, y, x, part] * there[part]).sum()
+    return out
+
+
+def random_pair(seed: int, width: int = 9) -> tuple[Tensor, Tensor, Tensor]:
+    generator = torch.Generator().manual_seed(seed)
+    left, right = (torch.randn(2, 3, width, 8, generator=generator) for _ in range(2))
+    return left, right, torch.rand(2, 3, width, 4, generator=generator) * (width + 2) - 1
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6), width=st.integers(2, 11))
+def test_matching_equals_the_naive_loops(seed: int, width: int) -> None:
+    pair = random_pair(seed, width)
+    expected = naive_lookup(*pair, 2)
+    torch.testing.assert_close(volume.lookup(*pair, 2), expected, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(matching.lookup(*pair, 2), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_the_kernels_gradients_equal_those_of_plain_torch() -> None:
+    pair = [t.requires_grad_() for t in random_pair(3)]
+    ours, twin = matching.lookup(*pair, 2), volume.lookup(*pair, 2)
+    push = torch.randn(ours.shape, generator=torch.Generator().manual_seed(1))
+    for a, b in zip(torch.autograd.grad(ours, pair, push), torch.autograd.grad(twin, pair, push), strict=True):
+        torch.testing.assert_close(a, b, atol=1e-5, rtol=1e-5)
+
+
+def test_a_full_range_is_a_lookup_at_whole_disparities() -> None:
+    left, right, _ = random_pair(5)
+    every = torch.arange(4.0).expand(2, 3, 9, 4)
+    expected = naive_lookup(left, right, every, 2)
+    for function in (matching.correlate, volume.correlate):
+        torch.testing.assert_close(function(left, right, 2, 4), expected, atol=1e-5, rtol=1e-5)
+
+
+def test_concatenation_puts_matching_columns_side_by_side() -> None:
+    left, right = torch.rand(1, 2, 2, 6), torch.rand(1, 3, 2, 6)[:, :2]
+    both = volume.concatenate(left, right, 3)
+    assert both.shape == (1, 4, 2, 6, 3)
+    for x, d in np.ndindex(6, 3):
+        assert torch.equal(both[0, :2, :, x, d], left[0, :, :, x])
+        assert torch.equal(both[0, 2:, :, x, d], right[0, :, :, x - d] if x >= d else torch.zeros(2, 2))
+
+
+def test_a_shift_by_a_constant_moves_columns() -> None:
+    right = torch.rand(1, 2, 7, 3)
+    moved = volume.shift(right, torch.full((1, 2, 7), 2.0))
+    torch.testing.assert_close(moved[:, :, 2:], right[:, :, :-2])
+    assert not moved[:, :, :2].any()
+
+
+def test_unit_features_have_groups_of_length_one() -> None:
+    features = volume.unit(torch.randn(1, 8, 2, 3) * 100, 2)
+    torch.testing.assert_close(features.reshape(1, 2, 3, 2, 4).norm(dim=-1), torch.ones(1, 2, 3, 2))
+
+
+def test_mean_and_deviation_of_a_distribution() -> None:
+    logits = torch.log(torch.tensor([[[[0.1, 0.2, 0.7]]]]))
+    mean, sigma = volume.expect(logits, torch.tensor([4.0, 6.0, 8.0]))
+    assert mean.item() == pytest.approx(7.2)
+    assert sigma.item() == pytest.approx(np.sqrt(0.1 * 3.2**2 + 0.2 * 1.2**2 + 0.7 * 0.8**2), rel=1e-4)
+
+
+def test_a_windowed_mean_takes_one_of_two_surfaces_and_sigma_tells_of_both() -> None:
+    logits = torch.full((1, 1, 1, 24), -20.0)
+    logits[..., 3], logits[..., 20] = 1.0, 1.2
+    mean, sigma = volume.expect(logits, torch.arange(24.0), window=2)
+    assert mean.item() == pytest.approx(20, abs=1e-3)
+    assert sigma.item() > 8
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6), factor=st.sampled_from([2, 4]))
+def test_convex_upsampling_stays_between_its_neighbours(seed: int, factor: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    values = torch.randn(1, 2, 3, 4, generator=generator)
+    weights = torch.randn(1, 9 * factor**2, 3, 4, generator=generator) * 50
+    fine = convex(values, weights, factor)
+    padded = nn.functional.pad(values, (1, 1, 1, 1), mode="replicate")
+    for y, x in np.ndindex(3 * factor, 4 * factor):
+        around = padded[0, :, y // factor : y // factor + 3, x // factor : x // factor + 3].flatten(1)
+        assert (fine[0, :, y, x] <= around.amax(1) + 1e-5).all()
+        assert (fine[0, :, y, x] >= around.amin(1) - 1e-5).all()
+
+
+def test_convex_upsampling_with_all_weight_on_a_neighbour_repeats_it() -> None:
+    values = torch.rand(1, 1, 3, 3)
+    weights = torch.zeros(1, 4, 9, 3, 3)
+    weights[:, :, 4] = 60.0  # the middle one
+    fine = convex(values, weights.flatten(1, 2), 2)
+    torch.testing.assert_close(fine, values.repeat_interleave(2, 2).repeat_interleave(2, 3))
+
+
+def test_folding_changes_nothing() -> None:
+    torch.manual_seed(0)
+    net = nn.Sequential(conv(3, 8), Residual(8), conv(8, 4, stride=2))
+    for _ in range(3):
+        net(torch.rand(2, 3, 16, 16))  # moves the running statistics
+    net.eval()
+    image = torch.rand(1, 3, 16, 16)
+    before = net(image)
+    assert not any(isinstance(m, nn.BatchNorm2d) for m in fold(net).modules())
+    torch.testing.assert_close(channels_last(net)(image), before, atol=1e-5, rtol=1e-5)
+
+
+def test_the_trunk_gives_four_scales() -> None:
+    levels = Trunk((8, 16, 24, 32))(torch.rand(1, 3, 64, 96))
+    assert [tuple(level.shape[1:]) for level in levels] == [(8, 16, 24), (16, 8, 12), (24, 4, 6), (32, 2, 3)]
+
+
+def test_padding_repeats_the_edges() -> None:
+    image = torch.rand(1, 3, 33, 31)
+    padded = pad(image)
+    assert padded.shape == (1, 3, 64, 32)
+    assert torch.equal(padded[:, :, :33, :31], image)
+    assert torch.equal(padded[:, :, 63, 31], image[:, :, 32, 30])
+
+
+def test_a_range_covers_the_uncertainty_and_learns_its_width() -> None:
+    range_ = Range(8, 2.5)
+    disparity, sigma = torch.full((1, 1, 2), 20.0), torch.tensor([[[0.1, 6.0]]])
+    position = range_(disparity, sigma)
+    assert position[0, 0, 0, [0, -1]].tolist() == [17.5, 22.5]  # never narrower
+    assert position[0, 0, 1, [0, -1]].tolist() == [14.0, 26.0]
+    assert range_(torch.ones(1, 1, 1), torch.ones(1, 1, 1)).min() >= 0
+    position[..., 0].sum().backward()
+    assert range_.gamma.grad is not None and range_.gamma.grad.abs() > 0
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_every_parameter_of_a_stereo_network_learns(network: type[nn.Module]) -> None:
+    from priors.learn.stereo import StereoTask
+
+    torch.manual_seed(0)
+    net = network("s")
+    pair = torch.rand(2, 1, 3, 64, 96)
+    truth = torch.rand(1, 64, 96) * 30
+    batch = {"left": pair[0], "right": pair[1], "disparity_px": truth, "known": torch.ones(1, 64, 96)}
+    task = StereoTask(net, lambda rng: {})
+    loss, _ = task.loss({**batch, "weight": torch.ones(1, 64, 96)})
+    loss.backward()
+    assert [name for name, p in net.named_parameters() if p.grad is None] == []
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+@pytest.mark.parametrize("size", [(1, 50), (37, 1), (64, 96), (45, 70)])
+def test_a_stereo_network_takes_any_size(network: type[nn.Module], size: tuple[int, int]) -> None:
+    torch.manual_seed(0)
+    net = network("s").eval()
+    with torch.inference_mode():
+        out = net(torch.rand(1, 3, *size), torch.rand(1, 3, *size), 64)
+    for values in (out.disparity_px, out.sigma_px, out.doubt):
+        assert values.shape == (1, *size) and values.dtype == torch.float32 and values.isfinite().all()
+    assert out.disparity_px.min() >= 0 and out.stages == []
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_the_fused_kernel_and_plain_torch_give_the_same_disparity(
+    network: type[nn.Module], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch.manual_seed(0)
+    net = network("s").eval()
+    pair = torch.rand(2, 1, 3, 64, 128)
+    with torch.inference_mode():
+        ours = net(*pair, 64).disparity_px
+        for module in ("cfnet", "pcwnet"):
+            monkeypatch.setattr(f"priors.nets.{module}.lookup", volume.lookup)
+        monkeypatch.setattr("priors.nets.coarse.correlate", volume.correlate)
+        torch.testing.assert_close(net(*pair, 64).disparity_px, ours, atol=1e-3, rtol=1e-4)
