@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
+from tyro.conf import Positional
 
 from priors.learn.pair import Item, from_street, to_item
 from priors.learn.scans import Streets
@@ -113,7 +114,7 @@ def report(name: str, calibration: Calibration, seen: Seen) -> str:
     )
 
 
-def run(file: Path, street: Path, count: int = 120) -> None:
+def run(file: Positional[Path], street: Path, count: int = 120) -> None:
     """Calibrate a file of weights.
 
     Args:
