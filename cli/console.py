@@ -81,7 +81,14 @@ def fit_progress(label: str) -> Iterator[Callable[..., None]]:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
         with Progress(*columns, TextColumn("{task.fields[line]}"), console=err) as bar:
             task = bar.add_task(label, total=1.0, line="")
-            yield lambda status: bar.update(task, completed=status.progress, line=line(status))
+
+            def draw(status: Status) -> None:
+                nonlocal told
+                if status.elapsed_s - told >= 0.2 or status.progress >= 1:  # a line's numbers wait for a GPU
+                    told = status.elapsed_s
+                    bar.update(task, completed=status.progress, line=line(status))
+
+            yield draw
         return
 
     def step(status: Status) -> None:

@@ -7,6 +7,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from torch import Tensor
+
 from nerf import fields
 from nerf.checkpoint import Progress, resume, save
 from nerf.losses import LossConfig
@@ -46,9 +48,9 @@ class Status:
     elapsed_s: float
     progress: float
     """Share of the budget, [0, 1]."""
-    terms: dict[str, float]
-    """The last batch's losses."""
-    loss: float
+    terms: dict[str, Tensor]
+    """The last batch's losses; on a GPU, looking at them waits for the step to end."""
+    loss: Tensor
     """Their weighted sum."""
     rays: int
     """Rays of the last batch."""
@@ -60,12 +62,12 @@ class Status:
     @property
     def psnr(self) -> float:
         """The last batch's PSNR, dB."""
-        return -10 * math.log10(max(self.terms["rgb"], 1e-10))
+        return -10 * math.log10(max(float(self.terms["rgb"]), 1e-10))
 
     def line(self) -> str:
         """Return a line of metrics.jsonl."""
         numbers = {"seconds": self.elapsed_s, "psnr": self.psnr, "loss": self.loss, **self.terms}
-        rounded = {name: float(f"{value:.6g}") for name, value in numbers.items()}
+        rounded = {name: float(f"{float(value):.6g}") for name, value in numbers.items()}
         return json.dumps({"step": self.step, **rounded, "samples": self.samples}) + "\n"
 
 
@@ -77,8 +79,10 @@ def start(scene: Scene, config: FitConfig, device: str = "cpu") -> Model:
     points_m = scene.points_m()
     positions_m = scene.T_world_cam[scene.train, :3, 3]
     space = Space.around(positions_m, points_m, fields.family(config.model.family).space)
-    carve = config.model.sampler.carve and scene.depth_m is not None
-    occupancy = Occupancy.carve(space, scene, device=device) if carve else Occupancy(space, device=device)
+    sampler = config.model.sampler
+    carve = sampler.carve and scene.depth_m is not None
+    trust = sampler.trust
+    occupancy = Occupancy.carve(space, scene, trust=trust, device=device) if carve else Occupancy(space, device=device)
     return Model(config.model, space, occupancy, config.seed, device)
 
 

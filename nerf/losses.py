@@ -1,8 +1,8 @@
 """The losses: colour, depth (four of them), distortion, opacity. Per ray and unreduced; one rule reduces them all.
 
 Reduction: a colour loss is the mean over the rays. A depth loss is the mean over the rays that have a prior, weighted
-by confidence where that is wanted: sum(weight l) / sum(weight). A sparse map and a dense one therefore pull equally
-hard with the same --depth-weight, and an empty one gives 0.
+by their confidence where they have one: sum(weight l) / sum(weight). A sparse map and a dense one therefore pull equally
+hard with the same --depth-weight, and an empty one gives 0. Nothing here waits for a GPU: what is reduced stays there.
 
 Depth losses, with D the rendered camera-z depth, d the prior's, w the samples' weights, U a unit of length and s the
 prior's standard deviation (metres, max(sigma_floor_m, sigma_share * d)):
@@ -42,8 +42,8 @@ class LossConfig:
     """Standard deviation of the prior as a share of its depth, for kl and urf."""
     sigma_floor_m: float = 0.1
     """Smallest standard deviation of the prior, metres."""
-    by_confidence: bool = False
-    """Weight rays by the prior's confidence."""
+    by_confidence: bool = True
+    """Weight rays by the prior's confidence, the probability that it is right."""
     trim: float = 0.0
     """Share of each batch's prior rays, those with the largest depth loss, that is left out."""
     distortion: float = 1e-3
@@ -56,9 +56,9 @@ class LossConfig:
 class Losses:
     """The batch's losses, reduced, and what to do about them."""
 
-    terms: dict[str, float]
+    terms: dict[str, Tensor]
     """Reduced, unweighted: rgb, depth, distortion, opacity."""
-    total: float
+    total: Tensor
     gradients: Gradients
     samples: int
     """How many samples the batch had."""
@@ -75,14 +75,15 @@ def losses(config: LossConfig, samples: Samples, rays: Rays, sigma: Tensor, rend
     gradients = Gradients.zeros(rendered)
     off = rendered.rgb - rays.rgb
     gradients.rgb.copy_(2 / off.numel() * off)
-    terms = {"rgb": float((off * off).mean())}
+    terms = {"rgb": (off * off).mean()}
     weight = prior_weight(config, rays)
     if weight is not None and config.loss != "none":
         terms["depth"] = _depth(config, samples, rays, weight, sigma, rendered, gradients)
-    terms["opacity"] = _opacity(config, samples, rays, rendered, gradients)
+    terms["opacity"] = _opacity(config, samples, weight, rendered, gradients)
     terms["distortion"] = _distortion(config, samples, rendered, gradients)
     scales = {"rgb": 1.0, "depth": config.depth_weight, "opacity": config.opacity, "distortion": config.distortion}
-    return Losses(terms, sum(scales[name] * value for name, value in terms.items()), gradients, samples.used)
+    total = torch.stack([scales[name] * value for name, value in terms.items()]).sum()
+    return Losses(terms, total, gradients, samples.used)
 
 
 def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:
@@ -102,7 +103,7 @@ def _depth(
     sigma: Tensor,
     rendered: Rendered,
     gradients: Gradients,
-) -> float:
+) -> Tensor:
     """Reduce the depth loss and add its gradients."""
     prior_m = torch.where(weight > 0, rays.depth_m, 0.0)  # type: ignore[arg-type]
     term = _DepthTerm(config, samples, rays.norms, prior_m, sigma, rendered)
@@ -110,7 +111,7 @@ def _depth(
         found = term(torch.zeros_like(weight), Gradients.zeros(rendered))
         weight = trimmed(weight, found, config.trim)
     share = weight / weight.sum().clamp(min=1e-12)
-    return float((share * term(config.depth_weight * share, gradients)).sum())
+    return (share * term(config.depth_weight * share, gradients)).sum()
 
 
 def trimmed(weight: Tensor, loss: Tensor, share: float) -> Tensor:
@@ -154,31 +155,34 @@ class _DepthTerm:
         return off * off + kernels.sight(self.samples, weights, self.norms, prior_m, deviation_m, scale, d_weights)
 
 
-def _opacity(config: LossConfig, samples: Samples, rays: Rays, rendered: Rendered, gradients: Gradients) -> float:
+def _opacity(
+    config: LossConfig, samples: Samples, weight: Tensor | None, rendered: Rendered, gradients: Gradients
+) -> Tensor:
     """Reduce the light that passes rays which should stop it: those with a prior, or all where there is no prior.
 
-    A ray without samples cannot stop anything and does not count.
+    A ray counts as much as its prior does, so that a guess in the sky does not make it solid; one without samples
+    cannot stop anything and does not count. The mean is over the rays that count.
     """
     asked = samples.offsets[1:] > samples.offsets[:-1]
-    stops = asked if rays.depth_m is None else asked & (rays.depth_m > 0)
-    share = stops / stops.sum().clamp(min=1)
+    stops = asked.float() if weight is None else asked * weight
+    share = stops / (stops > 0).sum().clamp(min=1)
     gradients.transmittance.add_(config.opacity * share)
-    return float((share * rendered.transmittance).sum())
+    return (share * rendered.transmittance).sum()
 
 
-def _distortion(config: LossConfig, samples: Samples, rendered: Rendered, gradients: Gradients) -> float:
+def _distortion(config: LossConfig, samples: Samples, rendered: Rendered, gradients: Gradients) -> Tensor:
     """Reduce the distortion: the mean over the rays."""
     from nerf.kernels import renderer_for
 
     rays = len(samples.offsets) - 1
     scale = torch.full((rays,), config.distortion / max(1, rays), device=rendered.rgb.device)
     found = renderer_for(rendered.rgb.device).distortion(samples, rendered.weights, scale, gradients.weights)
-    return float(found.mean()) if rays else 0.0
+    return found.sum() / max(1, rays)
 
 
 def interlevel(
     samples: Samples, rendered: Rendered, coarse: Samples, coarse_rendered: Rendered
-) -> tuple[float, Tensor]:
+) -> tuple[Tensor, Tensor]:
     """Ask a proposal's weights to bound the field's: the mean over rays, and its gradient by the weights (m,).
 
     sum max(0, w - what the coarse intervals that overlap hold)^2 / w (Barron et al., CVPR 2022, eq. 13); the field's
@@ -191,4 +195,4 @@ def interlevel(
     scale = torch.full((rays,), 1 / max(1, rays), device=device)
     kernels = renderer_for(device)
     found, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
-    return (float(found.mean()) if rays else 0.0), gradient
+    return found.sum() / max(1, rays), gradient

@@ -13,7 +13,7 @@ from nerf.mlp import NetworkConfig
 from nerf.occupancy import Occupancy
 from nerf.rays import Rays
 from nerf.render import Gradients, Rendered, backward, render
-from nerf.sample import Key, guided, march, resample
+from nerf.sample import Key, guidable, guided, march, resample
 from nerf.samples import Samples
 from nerf.sky import Sky, SkyConfig
 from nerf.space import Space
@@ -21,6 +21,7 @@ from nerf.space import Space
 PROPOSAL_GRID = GridConfig(levels=8, log2_size=15, finest=512)
 ANNEAL_SLOPE, ANNEAL_SHARE = 10.0, 0.2  # Barron et al., CVPR 2022, section 4; over this share of the fit
 MARGIN = 0.002  # by which proposal bins are widened, in s
+LED = 0.5  # share of a guided ray's samples after its proposals that the prior places
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,8 @@ class SamplerConfig:
     """Half width of the band of samples around the prior, as a share of its depth."""
     unguided: float = 0.03
     """Share of the rays with a prior that ignore it: gross errors of a prior are found by them."""
+    trust: float = 0.2
+    """Prior values of less confidence than this carve and guide nothing; the losses weigh them as they do all."""
 
 
 @dataclass(frozen=True)
@@ -128,6 +131,7 @@ class Model:
 
     def _sample(self, rays: Rays, key: Key | None, progress: float) -> tuple[Samples, list[_Proposed]]:
         sampler, space, occupancy = self.config.sampler, self.space, self.occupancy
+        rays = self._trusted(rays)
         if not self.proposals:
             if sampler.guide and rays.depth_m is not None:
                 options = {"reach": sampler.reach, "unguided": sampler.unguided}
@@ -145,12 +149,40 @@ class Model:
             clear = torch.zeros(len(rays), 3, device=sigma.device)
             rendered = render(samples, sigma, torch.zeros(len(sigma), 3, device=sigma.device), clear)
             rounds.append(_Proposed(samples, sigma, rendered))
-            samples = resample(
-                rays, space, samples, rendered.weights, count=count, margin=MARGIN, anneal=anneal, key=key
-            )
+            weights = rendered.weights if key is None else self._led(rays, samples, rendered.weights, key)
+            options = {"margin": MARGIN, "anneal": anneal}
+            samples = resample(rays, space, samples, weights, count=count, occupancy=occupancy, key=key, **options)
         return samples, rounds
 
-    def _teach(self, proposal: Field, round_: _Proposed, samples: Samples, rendered: Rendered) -> float:
+    def _trusted(self, rays: Rays) -> Rays:
+        """Return the rays without those prior values that are more likely wrong than samplers can stand."""
+        if rays.depth_m is None or rays.weight is None:
+            return rays
+        return replace(rays, depth_m=torch.where(rays.weight >= self.config.sampler.trust, rays.depth_m, 0.0))
+
+    def _led(self, rays: Rays, samples: Samples, weights: Tensor, key: Key) -> Tensor:
+        """Mix a proposal's weights (m,) with the prior: of a guided ray's mass, LED lies evenly in the prior's band."""
+        sampler = self.config.sampler
+        if not sampler.guide or rays.depth_m is None:
+            return weights
+        led = guidable(rays.depth_m, sampler.unguided, key)
+        ray = samples.ray[: samples.used].long()
+        depth_m = torch.where(led, rays.depth_m, 0.0)[ray]
+        t, s0, s1 = (x[: samples.used] for x in (samples.t, samples.s0, samples.s1))
+        half_m = samples.dt_m[: samples.used] / (2 * rays.norms[ray])
+        inside = (depth_m > 0) & ((t - depth_m).abs() <= sampler.reach * depth_m + half_m)
+        mass = torch.where(inside, s1 - s0, 0.0)
+
+        def total(x: Tensor) -> Tensor:
+            return torch.zeros(len(rays), device=x.device).index_add_(0, ray, x)[ray]
+
+        band, own = total(mass), weights[: samples.used]
+        mixed = (1 - LED) * own / total(own).clamp(min=1e-6) + LED * mass / band.clamp(min=1e-12)
+        out = weights.clone()
+        out[: samples.used] = torch.where(band > 0, mixed, own)
+        return out
+
+    def _teach(self, proposal: Field, round_: _Proposed, samples: Samples, rendered: Rendered) -> Tensor:
         """Move a proposal towards bounding the field's weights; returns the interlevel loss."""
         value, d_weights = interlevel(samples, rendered, round_.samples, round_.rendered)
         gradients = replace(Gradients.zeros(round_.rendered), weights=d_weights)

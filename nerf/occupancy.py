@@ -68,15 +68,19 @@ class Occupancy:
         scene: Scene,
         resolution: int = 128,
         reach: float = 0.1,
+        trust: float = 0.0,
         device: torch.device | str = "cpu",
     ) -> "Occupancy":
-        """Carve a grid from the training views' prior; `reach` is relative to the depth."""
+        """Carve a grid from the training views' prior.
+
+        `reach` is relative to the depth; values of less confidence than `trust` count as none.
+        """
         self = cls(space, resolution, device)
         count = self.kept.numel()
         votes_for, votes_against = np.zeros(count, np.uint16), np.zeros(count, np.uint16)
         blindly = np.zeros(count, np.uint8)
         for position in scene.train:
-            seen, blind = _parted(scene, position)
+            seen, blind = _parted(scene, position, trust)
             votes_for += self._trace(scene, position, seen, 1 - reach, 1 + reach)
             votes_against += self._trace(scene, position, seen, 0, 1 - reach)
             blindly |= self._trace(scene, position, blind, 0, np.inf)
@@ -174,7 +178,7 @@ class Occupancy:
         flat.scatter_reduce_(0, cell, found, "amax")
 
 
-def _parted(scene: Scene, position: int) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _parted(scene: Scene, position: int, trust: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return a view's pixels (flat) with a prior value and those beyond the prior's reach, both thinned.
 
     A hole between values is neither: it is within the closing of the values' mask.
@@ -188,6 +192,8 @@ def _parted(scene: Scene, position: int) -> tuple[npt.NDArray[np.int64], npt.NDA
     if scene.depth_m is None:
         return np.zeros(0, np.int64), np.flatnonzero(blind)
     valid = (scene.depth_m[position] > 0) & np.isfinite(scene.depth_m[position])
+    if scene.weight is not None:
+        valid &= scene.weight[position] >= np.float32(255 * trust)
     seen = np.flatnonzero(valid)
     if len(seen):
         # The window holds about a dozen values where they are spread evenly.

@@ -57,7 +57,7 @@ def guided(
     first, last = space.depth(course.start, course.knee_m), space.depth(course.stop, course.knee_m)
     band0 = torch.clamp(rays.depth_m * (1 - reach), first, last)
     band1 = torch.clamp(rays.depth_m * (1 + reach), first, last)
-    led = (rays.depth_m > 0) & (band1 > band0) & ~(_random(len(rays), key, _UNGUIDED, rays.origins_m) < unguided)
+    led = guidable(rays.depth_m, unguided, key) & (band1 > band0)
     band0, band1 = torch.where(led, band0, 0), torch.where(led, band1, 0)
     front = count // 2
     course = replace(
@@ -70,6 +70,11 @@ def guided(
         slots=max(free + 1, count + 2),
     )
     return _pick(course, occupancy)
+
+
+def guidable(depth_m: Tensor, unguided: float, key: Key | None) -> Tensor:
+    """Tell which rays (r,) their prior depth guides: those that have one, but for a random share."""
+    return (depth_m > 0) & ~(_random(len(depth_m), key, _UNGUIDED, depth_m) < unguided)
 
 
 def resample(

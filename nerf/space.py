@@ -25,8 +25,8 @@ Points = npt.NDArray[np.floating[Any]]
 CODES: dict[str, int] = {"box": twin.BOX, "ball": twin.BALL, "spheres": twin.SPHERES}
 NEAR_M, FAR_M = 0.5, 250.0
 """Depths in which surfaces are looked for where no prior tells, metres."""
-AROUND_PATH_M = 16.0
-"""Inner region beyond the camera path where no prior tells, metres."""
+AROUND_PATH_M = {"box": 64.0, "ball": 16.0, "spheres": 16.0}
+"""How far around the path the region reaches where no prior tells, metres: all there is in a box, the inner one else."""
 LEAST_HALF_M, MOST_STRETCH = 4.0, 3.0
 """The inner region's half extents: at least this, and this many times the smallest, at most."""
 INNER_SHARE = {"box": 0.01, "ball": 0.10, "spheres": 0.10}
@@ -84,7 +84,7 @@ class Space:
         points_m = points_m[np.isfinite(points_m).all(axis=1)]
         axes = _axes(positions_m, points_m)
         path, points = positions_m @ axes.T, points_m @ axes.T
-        low, high = path.min(axis=0) - AROUND_PATH_M, path.max(axis=0) + AROUND_PATH_M
+        low, high = path.min(axis=0) - AROUND_PATH_M[kind], path.max(axis=0) + AROUND_PATH_M[kind]
         if len(points):
             share = INNER_SHARE[kind]
             low = np.minimum(np.quantile(points, share, axis=0), path.min(axis=0) - 1)
