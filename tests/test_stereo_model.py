@@ -125,6 +125,13 @@ def test_identical_images_are_far(method: Stereo) -> None:
     assert not np.any(depth.valid & (depth.depth_m < 100))
 
 
+def test_nothing_is_known_beyond_what_a_map_holds() -> None:
+    left, _, _ = scene()
+    depth = NET(frame(left, left))
+    assert depth.valid.all() and depth.confidence is not None
+    assert not depth.confidence[depth.depth_m > LARGEST_M * 0.999].any()
+
+
 @MODELS
 def test_swapped_views_are_said(method: Stereo) -> None:
     left, right, _ = slanted((120, 320))

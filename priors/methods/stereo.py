@@ -20,7 +20,7 @@ class Stereo:
     """Match the pair, by hand-made rules or by a network, and tell how far to trust it.
 
     Every pixel has a value where anything could be matched. The classical confidence is the probability that the depth
-    is right within 1 m; a network's is the probability that its disparity is right within 1 px.
+    is right within 1 m; a network's is the probability that its disparity is right within 1 px, and 0 beyond 250 m.
     """
 
     model: Literal["classical", "cfnet", "pcwnet"] = "classical"
@@ -83,10 +83,14 @@ class Stereo:
         disparity_px, trust = unmirror(frame, disparity_px), unmirror(frame, trust)
         found = disparity_px > 0
         disparity_px = disparity_px + offset_row(frame.camera, self.offset_px or NONE)
-        np.maximum(disparity_px, np.float32(fx_baseline / LARGEST_M), out=disparity_px)
+        least_px = np.float32(fx_baseline / LARGEST_M)
+        beyond = disparity_px <= least_px
+        np.maximum(disparity_px, least_px, out=disparity_px)
         depth_m = np.where(found, np.float32(fx_baseline) / disparity_px, np.float32(0))
         if self.model == "classical":
             trust = classical.probability(disparity_px, trust, fx_baseline)
+        else:
+            found &= ~beyond  # the disparity of the sky may be right, but its depth is not known
         return Depth(depth_m, np.where(found, trust, np.float32(0)))
 
     def _match(self, image: Image, other: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
