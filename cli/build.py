@@ -21,6 +21,7 @@ examples:
   priors build street/ --method stereo
   priors build KITTI/2011_09_26 --drive 2011_09_26_drive_0001_sync --method lidar --lidar.sweeps 11
   priors build street/ --method completion --sky mask --clip 80 --frames 0:20
+  priors build street/ --method mono --mono.adapt lidar       fine-tune on the drive first, a minute or two
   priors build street/ --method stereo --keep 0.9228          keep the most confident 92.28 %
   priors build street/ --method stereo --shard 3/8            the third of eight machines
   priors build street/ --method lidar --dry-run               what would be computed, what not and why
@@ -54,12 +55,17 @@ def run(arguments: list[str]) -> int:
         _print_plan(drive.ids, prior, plan)
         return 0
     with progress(args.method, len(plan.todo)) as step:
-        report = build.build(drive, prior, method, args.filters, plan, args.workers, step)
+        report = build.build(drive, prior, method, args.filters, plan, args.workers, step, _note)
     for frame_id, error in sorted(report.failed.items()):
         err.print(f"[bold red]frame {frame_id}:[/] {escape(error)}")
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0
+
+
+def _note(line: str) -> None:
+    """Tell what a method does before the first frame."""
+    err.print(line, markup=False)
 
 
 def _with_methods() -> type[Any]:

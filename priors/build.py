@@ -16,7 +16,7 @@ from priors import cache
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
-from priors.types import Drive, Frame, Method
+from priors.types import Depth, Drive, Frame, Method
 
 LARGEST_FRAME_NUMBER = 10**7
 
@@ -119,14 +119,21 @@ def build(
     plan_: Plan,
     workers: int = 2,
     on_frame: Callable[[str], None] = lambda frame_id: None,
+    on_note: Callable[[str], None] = lambda line: None,
 ) -> Report:
     """Compute the planned frames in threads and write each as soon as it is done.
+
+    A method that needs the whole drive first has a `prepare(drive, folder, on_note)`, called once; it returns what
+    makes a frame's depth and may keep what it learned in the folder. What it does is told to on_note, a line at a time.
 
     A frame that cannot be read is reported and the others go on. On KeyboardInterrupt the frames in hand are finished
     and written, the rest is left for the next run.
     """
     if not plan_.todo:
         return Report(prior, plan_, failed=dict(plan_.failed))
+    make: Callable[[Frame], Depth] = method
+    if hasattr(method, "prepare"):
+        make = method.prepare(drive, prior.folder.parent / "weights", on_note)
     cache.create(prior.folder.parent.parent, prior.manifest)
     prior.drop_stale()
     report = Report(prior, plan_, failed=dict(plan_.failed))
@@ -137,7 +144,7 @@ def build(
         try:
             frame = drive[index]
             start = time.perf_counter()
-            depth = filters(method(frame), frame)
+            depth = filters(make(frame), frame)
             seconds = time.perf_counter() - start
             with writing:  # frames.jsonl gets whole lines
                 report.built.append(prior.write(frame_id, depth, seconds))

@@ -26,10 +26,11 @@ from priors.learn import loop
 from priors.learn import sample as samples
 from priors.learn.loop import Batch, TrainConfig
 from priors.learn.views import LARGEST_M, SKY, SURFACE, UNKNOWN, View, collate, cut, label_sky, repaint
+from priors.methods._mono_known import trusted
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
 from priors.nets import bts, weights
-from priors.types import Depth, FloatMap, Image
+from priors.types import Image
 
 CROP, ZOOM = (256, 512), (0.65, 1.5)
 PER_WORLD = 24
@@ -37,8 +38,6 @@ HELD_OUT = {"sfnd": 4, "06": 6, "01": 6}
 """Last frames of each real drive: for validation."""
 OFFSETS_PX = {"06": (0.0, 0.0, 1.4), "01": (0.0, 0.0, 2.4)}
 """What the rectification of KITTI odometry's pairs is off, against depth from ego-motion (docs/methods/stereo.md)."""
-TRUSTED = 0.08
-"""Expected relative error up to which a stereo depth teaches."""
 
 
 @dataclass(frozen=True)
@@ -152,18 +151,6 @@ def read_real(data: Path, cache: Path) -> Iterator[View]:
             frame = drive[index]
             image, depth_m = frame.image(), trusted(prior.read(id_))
             yield View(image, frame.camera, depth_m, label_sky(image, depth_m), sequence)
-
-
-def trusted(depth: Depth, largest: float = TRUSTED) -> FloatMap:
-    """Return the depth (h, w) whose expected relative error is small enough, 0 elsewhere.
-
-    The confidence of classical stereo is the probability of an error below 1 m, for Laplace-distributed errors: that
-    tells their mean.
-    """
-    assert depth.confidence is not None
-    error_m = 1 / np.maximum(-np.log1p(-np.minimum(depth.confidence, np.float32(0.9999))), np.float32(1e-6))
-    known = (depth.depth_m > 0) & (error_m < largest * depth.depth_m) & (depth.depth_m < LARGEST_M)
-    return np.where(known, depth.depth_m, np.float32(0))
 
 
 def predict(net: nn.Module, view: View) -> bts.MonoOut:

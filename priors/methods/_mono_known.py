@@ -1,0 +1,65 @@
+"""Depth that a frame knows without the single-image network: what adapting and aligning lean on."""
+
+from dataclasses import dataclass
+from typing import Literal, Self
+
+import numpy as np
+
+from priors.errors import DataError
+from priors.methods.lidar import Lidar
+from priors.methods.stereo import Stereo
+from priors.types import Depth, FloatMap, Frame
+
+Source = Literal["lidar", "sparse", "stereo"]
+READS: dict[str, tuple[str, ...]] = {"lidar": ("sweep",), "sparse": ("sparse",), "stereo": ("other",)}
+TRUSTED = 0.08
+"""Expected relative error up to which a stereo depth counts as known."""
+LARGEST_M = 150.0
+
+
+@dataclass(frozen=True)
+class Known:
+    """Reads the depth that a frame knows, from one source."""
+
+    source: Source
+    lidar: Lidar
+    stereo: Stereo
+
+    @classmethod
+    def choose(cls, source: str, frame: Frame) -> Self:
+        """Decide 'auto' on a frame: LiDAR, else the data set's sparse maps, else stereo; settings are resolved on it.
+
+        A frame's own sweep alone is used: a neighbour's may be one that is held out.
+        """
+        if source == "auto":
+            there = [name for name, needs in READS.items() if all(frame.has(what) for what in needs)]
+            if not there:
+                raise DataError(f"frame {frame.id}: no LiDAR, no sparse depth and no second camera to align to")
+            source = there[0]
+        if source not in READS:
+            raise DataError(f"{source}: expected one of {', '.join(READS)}")
+        frame.read(READS[source][0])  # says why, where it is missing
+        stereo = Stereo(offset_px=None if source == "stereo" else (0.0, 0.0, 0.0))
+        return cls(source, Lidar(sweeps=1).resolve(frame), stereo.resolve(frame))  # type: ignore[arg-type]
+
+    def __call__(self, frame: Frame) -> FloatMap:
+        """Return (height, width) metres, 0 = not known."""
+        if self.source == "lidar":
+            depth_m = self.lidar(frame).depth_m
+        elif self.source == "sparse":
+            depth_m = frame.sparse().depth_m
+        else:
+            depth_m = trusted(self.stereo(frame))
+        return np.where(depth_m < LARGEST_M, depth_m, np.float32(0))
+
+
+def trusted(depth: Depth, largest: float = TRUSTED) -> FloatMap:
+    """Return the classical stereo depth (height, width) whose expected relative error is small, 0 elsewhere.
+
+    The confidence is the probability of an error below 1 m, for Laplace-distributed errors: that tells their mean.
+    """
+    assert depth.confidence is not None
+    chance = np.minimum(depth.confidence, np.float32(0.9999))
+    error_m = 1 / np.maximum(-np.log1p(-chance), np.float32(1e-6))
+    known = (depth.depth_m > 0) & (error_m < largest * depth.depth_m) & (depth.depth_m < LARGEST_M)
+    return np.where(known, depth.depth_m, np.float32(0))

@@ -1,0 +1,110 @@
+"""Our single-image network: loaded, run on a frame, and adapted to a drive."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from priors.cache import key_of
+from priors.errors import DataError
+from priors.learn.adapt import AdaptConfig, adapt, gather
+from priors.learn.views import View, label_sky
+from priors.methods._mono_known import Known
+from priors.nets import runtime, weights
+from priors.nets.fused import fuse
+from priors.nets.runtime import Ready, Runtime
+from priors.types import Camera, Drive, FloatMap, Frame, Image
+
+NAME = "bts"
+VERSION = 1
+"""Of how adapting works: part of the adapted weights' key."""
+
+
+def estimate(ready: Ready, image: Image, camera: Camera) -> tuple[FloatMap, FloatMap]:
+    """Run the network on an image.
+
+    Returns:
+        depth_m (height, width), 0 in the sky, and the expected error of its logarithm.
+    """
+    out = ready(runtime.as_input(image), torch.from_numpy(camera.K).float()[None])
+    with torch.inference_mode():
+        depth_m = torch.where(out.sky_logit > 0, 0.0, out.depth_m)
+        return runtime.as_map(depth_m), runtime.as_map(torch.exp(out.log_scale))
+
+
+def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready:
+    """Load the network, once a process; DataError where its weights are missing or damaged."""
+    path = weights.find(NAME, size, file)
+    return _open(size, chosen, path, weights.digest(path))
+
+
+@lru_cache(maxsize=4)
+def _open(size: str, chosen: Runtime, path: Path, _digest: str) -> Ready:
+    ready = runtime.open_net(NAME, size, chosen, path)
+    return Ready(fuse(ready.net), ready.runtime, ready.about) if chosen == "bf16" else ready
+
+
+def adapted_weights(
+    drive: Drive,
+    indices: Sequence[int],
+    known: Known,
+    start: Path,
+    size: str,
+    config: AdaptConfig,
+    folder: Path,
+    on_note: Callable[[str], None],
+    chosen: Runtime,
+) -> Path:
+    """Return weights adapted to a drive: from the folder where they are there, else adapted now and kept there.
+
+    Args:
+        drive: the drive.
+        indices: the frames that may take part.
+        known: what supervises.
+        start: weights to start from.
+        size: of the network.
+        config: how long to adapt.
+        folder: where adapted weights are kept; the name is a hash of all that decides them.
+        on_note: told what is going on, a line at a time.
+        chosen: the runtime of the inference to come: bf16 also trains in bf16.
+    """
+    decides = {
+        "version": VERSION,
+        "start": weights.digest(start),
+        "size": size,
+        "drive": drive.fingerprint(),
+        "frames": [drive.ids[index] for index in indices],
+        "known": asdict(known),
+        "config": asdict(config),
+    }
+    path = folder / f"mono-{key_of(decides)}.safetensors"
+    if path.is_file():
+        on_note(f"mono: weights adapted before: {path}")
+        return path
+    on_note(f"mono: reading {len(indices)} training frames with their {known.source} depth")
+    views = gather(drive, indices, lambda frame: as_view(frame, known), known.source)
+    net = runtime.create(NAME, size)
+    weights.fill(net, weights.load(start), NAME, size)
+    net = net.to("cuda" if chosen == "cuda" else "cpu")
+
+    def tell(done: float, error: float) -> None:
+        on_note(f"mono: adapting to {len(views)} frames, {done:.0%}: mean log error {error:.3f}")
+
+    adapted = adapt(net, views, config, tell, bf16=chosen in ("bf16", "cuda"))
+    if not all(bool(torch.isfinite(p).all()) for p in adapted.parameters()):
+        raise DataError("mono: adapting diverged: choose --mono.adapt none, or other frames")
+    if not path.is_file():  # another machine of this build may have been faster: all use the same
+        about = {"net": NAME, "size": size, "adapted": {k: v for k, v in decides.items() if k != "known"}}
+        weights.write(path, adapted, about)
+    return path
+
+
+def as_view(frame: Frame, known: Known) -> View:
+    """Return a frame as what the network learns from."""
+    image, depth_m = frame.image(), known(frame)
+    if depth_m.shape != image.shape[:2]:
+        raise DataError(f"frame {frame.id}: image {image.shape[:2]} and depth {depth_m.shape} differ in size")
+    return View(image, frame.camera, np.asarray(depth_m, np.float32), label_sky(image, depth_m), known.source)
