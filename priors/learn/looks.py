@@ -54,7 +54,7 @@ class Look:
     """JPEG's; 0: not compressed."""
 
 
-def change(left: Image, right: Image, rng: np.random.Generator, range_: Range = Range()) -> tuple[Image, Image]:
+def change(left: Image, right: Image, rng: np.random.Generator, range_: Range) -> tuple[Image, Image]:
     """Return both views with another look; nothing moves."""
     if left.ndim == 3 and rng.random() < range_.grey:
         left, right = (np.asarray(cv2.cvtColor(a, cv2.COLOR_RGB2GRAY), np.uint8) for a in (left, right))
@@ -93,7 +93,7 @@ def draw(rng: np.random.Generator, range_: Range, colour: bool) -> tuple[Look, L
 
 
 def tone(logs: npt.NDArray[np.float64], black: float, colour: bool) -> npt.NDArray[np.uint8]:
-    """Return the table of levels for logarithms of exposure, gamma, contrast and of red, green, blue; black in levels."""
+    """Return the table of levels for logarithms of exposure, gamma, contrast, red, green, blue; black in levels."""
     gains = np.exp(logs[0] + (logs[3:] if colour else 0 * logs[3:4]))
     level = (np.arange(256) / 255)[:, None] ** np.exp(logs[1]) * gains
     level = (level - 0.4) * np.exp(logs[2]) + 0.4

@@ -5,7 +5,7 @@ view may sit a fraction of a pixel too high or be rolled, but is never moved alo
 rows then still has its true disparity. What changes how things look is learn/looks.py.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -37,10 +37,13 @@ class Variation:
     """Spread of its roll."""
     covered: float = 0.25
     """Probability of a patch that hides part of the right view."""
-    look: looks.Range = looks.Range()
+    look: looks.Range = field(default_factory=looks.Range)
 
 
-def vary(pair: Pair, rng: np.random.Generator, size: tuple[int, int], variation: Variation = Variation()) -> Pair:
+USUAL = Variation()
+
+
+def vary(pair: Pair, rng: np.random.Generator, size: tuple[int, int], variation: Variation = USUAL) -> Pair:
     """Return the pair as another camera, another day and a worse calibration would have it, cropped to size."""
     pair = cut(pair, rng, size, variation)
     left, right = looks.change(pair.left, pair.right, rng, variation.look)

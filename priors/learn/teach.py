@@ -1,0 +1,102 @@
+"""Run a stereo network of yours over real pairs, to label them for training.
+
+    python -m priors.learn.teach --peer psmnet.py --weights model.tar --data ../shared/data --out teacher/
+
+The peer is a Python file with a network class: called with two ImageNet-normalised images (1, 3, h, w), h and w
+multiples of 32, it returns the left view's disparity (1, h, w). Nothing of it becomes part of this package. Maps that
+are there already are kept, so that a stopped run goes on.
+"""
+
+import importlib.util
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+import tyro
+from torch import nn
+
+from priors import codecs
+from priors.errors import DataError
+from priors.learn.pseudo import View, read_views, sequences
+from priors.types import FloatMap, Image
+
+MEAN, STD = np.array([0.485, 0.456, 0.406], np.float32), np.array([0.229, 0.224, 0.225], np.float32)
+MULTIPLE = 32
+
+
+@dataclass(frozen=True)
+class Teach:
+    """Write one disparity map (h, w) float32 .npy, px, for each view of each pair."""
+
+    peer: Path
+    """Python file with the network."""
+    weights: Path
+    """Its checkpoint, read without unpickling code."""
+    data: Path
+    """Folder that holds kitti_odometry."""
+    out: Path
+    """Folder for the maps."""
+    network: str = "PSMNet"
+    """Name of the class in the file."""
+    sides: tuple[str, ...] = ("left", "right")
+    """Views to label; the right one as the left one of the mirrored pair."""
+    every: int = 1
+    """Only every n-th frame."""
+    threads: int = 2
+
+
+def main() -> None:
+    """Label what is not labelled yet, left views first."""
+    teach = tyro.cli(Teach, description=__doc__)
+    torch.set_num_threads(teach.threads)
+    net = load(teach.peer, teach.network, teach.weights)
+    for side in teach.sides:
+        for sequence in sequences(teach.data):
+            for number, view in enumerate(view for view in read_views(sequence) if view.side == side):
+                path = teach.out / f"{view.name}.npy"
+                if number % teach.every == 0 and not path.exists():
+                    codecs.write_atomically(path, lambda target, view=view: _save(target, predict(net, view)))
+                    print(path, flush=True)
+
+
+def load(peer: Path, name: str, weights: Path) -> nn.Module:
+    """Load the network and its checkpoint; DataError where either is not what is expected."""
+    spec = importlib.util.spec_from_file_location("peer", peer)
+    if spec is None or spec.loader is None or not peer.is_file():
+        raise DataError(f"{peer}: expected a Python file with the class {name}")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    if not hasattr(module, name):
+        raise DataError(f"{peer}: no class {name}: give its name with --network")
+    net: nn.Module = getattr(module, name)()
+    state = torch.load(weights, map_location="cpu", weights_only=True)
+    state = state.get("state_dict", state)
+    net.load_state_dict({key.removeprefix("module."): value for key, value in state.items()}, strict=False)
+    return net.eval()
+
+
+def predict(net: nn.Module, view: View) -> FloatMap:
+    """Return the disparity (h, w), px, in the view's own pixels: a right eye's map is turned back from the mirror."""
+    height, width = view.left.shape[:2]
+    with torch.inference_mode():
+        map_ = net(*(_tensor(image) for image in (view.left, view.right)))[0].float().numpy()
+    map_ = map_[-height:, :width]
+    return np.ascontiguousarray(map_[:, ::-1] if view.side == "right" else map_, np.float32)
+
+
+def _tensor(image: Image) -> torch.Tensor:
+    """Normalise an image and pad it at the top and on the right."""
+    colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    values = (colour.astype(np.float32) / 255 - MEAN) / STD
+    pad = (-image.shape[0] % MULTIPLE, 0), (0, -image.shape[1] % MULTIPLE), (0, 0)
+    return torch.from_numpy(np.pad(values, pad).transpose(2, 0, 1).copy())[None]
+
+
+def _save(target: Path, map_: FloatMap) -> None:
+    with target.open("wb") as file:
+        np.save(file, map_)
+
+
+if __name__ == "__main__":
+    main()
