@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
     DatasetName = str
 else:
     DatasetName = Literal["auto", *drives.names()]
+Device = Literal["auto", "cpu", "cuda"]
 Parsed = TypeVar("Parsed")
 
 
@@ -41,6 +42,13 @@ def drive_key(prior: Prior) -> tuple[str, ...]:
 def reopen_drive(prior: Prior, truth: Path | None) -> Drive:
     """Open the drive that a prior was made for; `truth` names its depth maps where the build was not told."""
     return drives.reopen(prior.drive if truth is None else {**prior.drive, "truth": str(truth)})
+
+
+def pick_device(name: Device) -> str:
+    """Decide 'auto': a GPU where there is one."""
+    import torch
+
+    return ("cuda" if torch.cuda.is_available() else "cpu") if name == "auto" else name
 
 
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from cli.arguments import DriveArguments, parse
+from cli.arguments import Device, DriveArguments, parse, pick_device
 from cli.console import err, fit_progress, out, progress
 from cli.report import LpipsArguments, print_table, report_run
-from nerf import fields
+from nerf import checkpoint, fields
 from nerf.fit import FitConfig, fit
 from nerf.losses import LossConfig
 from nerf.model import ModelConfig, SamplerConfig
@@ -54,8 +54,8 @@ class FitArguments(DriveArguments):
     """Decides weights, rays and sample positions."""
     width: int = 64
     """Neurons of the hidden layers."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to train; auto: a GPU where there is one."""
+    device: Device = "auto"
+    """Where to train and render; auto: a GPU where there is one."""
     run: Path | None = None
     """The run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>."""
     losses: tyro.conf.OmitArgPrefixes[LossConfig] = field(default_factory=LossConfig)
@@ -86,21 +86,17 @@ def run(arguments: list[str]) -> int:
     scene = made.scene(drive, progress)
     if len(scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
+    done = checkpoint.progress(folder)
     with fit_progress(folder.name) as on_step:
         fit(scene, config, folder, on_step, pick_device(args.device))
+    if done.step == checkpoint.progress(folder).step:
+        err.print(f"trained before, {done.step} steps: a longer --time or --steps goes on, another --run begins anew")
     if scene.test:
-        print_table([report_run(made, args.lpips, scene, drive)])
+        print_table([report_run(made, args.lpips, scene, drive, device=args.device)])
     else:
         out.print(f"none of the {len(scene.ids)} frames is held out (the 10th, 20th, ... are): nothing to score")
     out.print(f"wrote {folder}")
     return 0
-
-
-def pick_device(name: str) -> str:
-    """Decide 'auto'."""
-    import torch
-
-    return ("cuda" if torch.cuda.is_available() else "cpu") if name == "auto" else name
 
 
 def seconds(text: str) -> float:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from cli.arguments import parse
+from cli.arguments import Device, parse, pick_device
 from cli.console import out, progress
 from eval import lpips, sheet
 from nerf import checkpoint
@@ -54,6 +54,8 @@ class ReportArguments:
     """Also write the table: .md, .tex or .txt, as many as wanted."""
     pictures: Path | None = None
     """Also set the runs side by side: a picture of each held-out view in this folder."""
+    device: Device = "auto"
+    """Where to render; auto: a GPU where there is one."""
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
 
 
@@ -69,7 +71,7 @@ def run(arguments: list[str]) -> int:
         drive = made.drive()
         scene = made.scene(drive, progress)
         opened.append((made, scene))
-        reports.append(report_run(made, args.lpips, scene, drive))
+        reports.append(report_run(made, args.lpips, scene, drive, device=args.device))
     laid = print_table(reports)
     for path in args.save:
         codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
@@ -95,10 +97,15 @@ def _picture(runs: Sequence[tuple[Run, Scene]], folder: Path) -> None:
 
 
 def report_run(
-    made: Run, weights: LpipsArguments, scene: Scene, drive: Drive, info: dict[str, object] | None = None
+    made: Run,
+    weights: LpipsArguments,
+    scene: Scene,
+    drive: Drive,
+    info: dict[str, object] | None = None,
+    device: Device = "auto",
 ) -> Report:
     """Score a run's held-out views."""
-    render = renderer(checkpoint.open_model(made.folder))
+    render = renderer(checkpoint.open_model(made.folder, pick_device(device)))
     truths = Truths(drive, [scene.ids[position] for position in scene.test])
     told = info or {"name": made.name, "config": asdict(made.config)}
     key = checkpoint.digest(made.folder)

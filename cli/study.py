@@ -8,9 +8,9 @@ from typing import Any, Literal, cast
 
 import tyro
 
-from cli.arguments import DriveArguments, parse
+from cli.arguments import Device, DriveArguments, parse, pick_device
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
-from cli.fit import FieldName, pick_device, seconds
+from cli.fit import FieldName, seconds
 from cli.report import LpipsArguments, report_run
 from eval import sheet
 from nerf import study_table
@@ -23,7 +23,8 @@ from nerf.study import NONE, SHARES, Outcome, RunSpec, Study, run_study
 from priors import cache
 
 EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table.
-Runs that are done are not made again. A choice given several values is a dimension of the grid.
+Runs that are done are not made again; with another --time or --steps they are begun anew.
+A choice given several values is a dimension of the grid.
 
 examples:
   nerf study street/ --priors none cache/ --views dense sparse --field ngp
@@ -62,6 +63,8 @@ class StudyArguments(DriveArguments):
     """How long each run trains."""
     steps: int | None = None
     """Train each run so many steps instead."""
+    device: Device = "auto"
+    """Where to train and render; auto: a GPU where there is one."""
     losses: tyro.conf.OmitArgPrefixes[tyro.conf.Suppress[LossConfig]] = made_by(default_factory=LossConfig)
     out: Path = Path("study")
     """The study's folder."""
@@ -105,12 +108,12 @@ def run(arguments: list[str]) -> int:
         )
         where = None if spec.prior == NONE else str(Path(spec.prior).resolve())
         asked = RunConfig(drive.describe(), where, args.frames, spec.views, spec.filters(), fitted)
-        made = claim(folder, asked)
+        made = claim(folder, asked, same_budget=True)
         scene = made.scene(drive, progress)
         with fit_progress(spec.name) as on_step:
-            fit(scene, fitted, folder, on_step, pick_device("auto"))
+            fit(scene, fitted, folder, on_step, pick_device(args.device))
         info: dict[str, object] = {"name": spec.name, "config": config, "command": _command(args, spec, folder)}
-        return report_run(made, args.lpips, scene, drive, info)
+        return report_run(made, args.lpips, scene, drive, info, args.device)
 
     outcomes = run_study(grid, args.out, make, settings, _tell)
     laid = study_table.lay_out(outcomes)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 
+from cli.arguments import Device, pick_device
 from nerf import checkpoint
 from nerf.pictures import Render
 from nerf.run import Run, open_run
@@ -24,6 +25,8 @@ class RunArguments:
     """The run's folder."""
     frames: str | None = None
     """Range of frames, a:b; default: the run's."""
+    device: Device = "auto"
+    """Where to render; auto: a GPU where there is one."""
 
 
 @dataclass(frozen=True)
@@ -45,5 +48,5 @@ def open_views(args: RunArguments) -> Opened:
     positions = select(drive.ids, args.frames or made.config.frames)
     frames = [drive[position] for position in positions]
     poses = np.array([frame.T_world_cam for frame in frames])
-    render = renderer(checkpoint.open_model(args.run))
+    render = renderer(checkpoint.open_model(args.run, pick_device(args.device)))
     return Opened(made, render, frames[0].camera, [frame.id for frame in frames], poses)

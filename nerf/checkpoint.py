@@ -51,6 +51,11 @@ def resume(run: Path, model: Model, optimiser: Optimiser) -> Progress:
     return Progress(**json.loads(metadata["progress"]))
 
 
+def progress(run: Path) -> Progress:
+    """Return how far a run's checkpoint is; the beginning where there is none."""
+    return Progress(**json.loads(_read(run)[1]["progress"])) if (run / NAME).exists() else Progress()
+
+
 def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
     """Load a run's model to render it.
 

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, fields, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar, get_type_hints
 
+from nerf import checkpoint
 from nerf.fit import FitConfig
 from nerf.scene import Progress, Scene, open_scene, silent
 from priors import cache, codecs
@@ -69,11 +70,19 @@ class Run:
         return open_scene(drive, prior, config.views, positions, home, config.filters, progress)
 
 
-def claim(folder: Path, config: RunConfig) -> Run:
-    """Begin a run in a folder, or go on with the same one; DataError where another run is in it."""
+def claim(folder: Path, config: RunConfig, same_budget: bool = False) -> Run:
+    """Begin a run in a folder, or go on with the same one; DataError where another run is in it.
+
+    A run that had another budget goes on as well, at the new budget's learning rate; with `same_budget` it is begun
+    anew, so that figures are those of the budget that is asked for.
+    """
     path = folder / "config.json"
-    if path.exists() and _comparable(open_run(folder).config) != _comparable(config):
+    found = open_run(folder).config if path.exists() else config
+    if _comparable(found) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
+    if same_budget and (found.fit.steps, found.fit.seconds) != (config.fit.steps, config.fit.seconds):
+        for name in (checkpoint.NAME, "metrics.jsonl", "metrics.json"):
+            (folder / name).unlink(missing_ok=True)
     text = json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n"
     codecs.write_bytes(path, text.encode())
     return Run(folder, config)

@@ -116,6 +116,8 @@ def test_a_finished_run_is_not_trained_again(tmp_path: Path) -> None:
     seen: list[Status] = []
     fit(corridor(), config(5), tmp_path, seen.append)
     assert seen == []
+    assert checkpoint.progress(tmp_path).step == 5
+    assert checkpoint.progress(tmp_path / "none").step == 0
 
 
 def test_a_larger_budget_goes_on(tmp_path: Path) -> None:
@@ -183,6 +185,13 @@ def test_a_run_is_read_back_and_kept_apart(tmp_path: Path) -> None:
     claim(tmp_path, replace(asked, fit=replace(asked.fit, steps=99)))
     with pytest.raises(DataError, match="other settings"):
         claim(tmp_path, replace(asked, views="dense"))
+    kept = tmp_path / checkpoint.NAME
+    kept.write_bytes(b"trained")
+    claim(tmp_path, replace(asked, fit=replace(asked.fit, steps=99)), same_budget=True)
+    claim(tmp_path, replace(asked, fit=replace(asked.fit, steps=50)))
+    assert kept.exists()
+    claim(tmp_path, replace(asked, fit=replace(asked.fit, steps=99)), same_budget=True)
+    assert not kept.exists()
     record = json.loads((tmp_path / "config.json").read_text())
     del record["fit"]["losses"]["distortion"]
     (tmp_path / "config.json").write_text(json.dumps(record))
