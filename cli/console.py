@@ -67,6 +67,23 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
 
 
 @contextmanager
+def train_progress(label: str) -> Iterator[Callable[..., None]]:
+    """Show loss, error and time left of a network's training on a terminal, a line every 100 steps in a pipe."""
+    from priors.learn.loop import Progress as Status
+
+    def line(status: Status) -> str:
+        return f"step {status.step}, " + ", ".join(f"{k} {v:.3g}" for k, v in status.values.items())
+
+    if err.is_terminal:
+        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        with Progress(*columns, TextColumn("{task.fields[line]}"), console=err) as bar:
+            task = bar.add_task(label, total=1.0, line="")
+            yield lambda status: bar.update(task, completed=status.done, line=line(status))
+        return
+    yield lambda status: err.print(f"{label}: {line(status)}") if status.step % 100 == 0 else None
+
+
+@contextmanager
 def fit_progress(label: str) -> Iterator[Callable[..., None]]:
     """Show loss, PSNR, rays a second and time left on a terminal, a line every 10 s in a pipe."""
     from nerf.fit import Status

@@ -11,6 +11,7 @@ PROGRAM = Program(
         "show": ("cli.show", "write pictures: image, depth, error and confidence side by side"),
         "list": ("cli.listing", "list what a cache holds"),
         "check": ("cli.check", "audit a drive: calibration, joins, stereo, poses, LiDAR"),
+        "train": ("cli.train", "train the networks: render samples, train, pack weights"),
         "street": ("cli.street", "write the embedded street as a KITTI raw drive"),
     },
     """\

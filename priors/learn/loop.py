@@ -2,7 +2,7 @@
 
 OUT/last.safetensors    weights, their running average, the optimiser's moments; written every minute and when stopped
    /last.json           step, seconds spent, config
-   /best.safetensors    the running average that validated best: what `priors train ... --export` packs
+   /best.safetensors    the running average that validated best: what `priors train pack` takes
    /log.jsonl           a line every few steps, and one a validation
    /pictures/*.png      what the network sees now
 
@@ -28,6 +28,7 @@ from torch import Tensor, nn
 
 from priors import codecs
 from priors.errors import DataError
+from priors.learn.config import TrainConfig
 from priors.nets.blocks import channels_last
 from priors.types import Image
 
@@ -59,34 +60,6 @@ class Task(Protocol):
 
 
 @dataclass(frozen=True)
-class TrainConfig:
-    """How long and how fast to learn."""
-
-    minutes: float = 60.0
-    """Time to train for, validation included; a run that is gone on with counts what it had."""
-    steps: int | None = None
-    """Steps to train for instead of minutes."""
-    lr: float = 1e-3
-    """Largest learning rate, reached after the warm-up; it falls as a cosine to a hundredth."""
-    warm_up: int = 200
-    """Steps in which the learning rate rises."""
-    weight_decay: float = 1e-2
-    """Decay of AdamW, on convolution weights only."""
-    clip: float = 1.0
-    """Largest norm of the gradient; larger ones are scaled down."""
-    ema: float = 0.998
-    """Share of the running average of the weights that a step keeps."""
-    validate_every: int = 1000
-    """Steps between validations."""
-    save_s: float = 60.0
-    """Seconds between checkpoints."""
-    seed: int = 0
-    """Decides the batches."""
-    threads: int | None = None
-    """CPU threads of torch; default: torch's choice."""
-
-
-@dataclass(frozen=True)
 class Progress:
     """What a step tells whoever watches."""
 
@@ -100,16 +73,26 @@ def train(
     task: Task,
     out: Path,
     config: TrainConfig,
+    about: dict[str, str] | None = None,
     device: str = "cpu",
     on_step: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, float]:
     """Train until the time or the steps are used up, or Ctrl-C; returns the last validation.
+
+    Args:
+        task: what is learned.
+        out: the run's folder.
+        config: how.
+        about: what last.json says of the network: its name and size.
+        device: where.
+        on_step: called every 20 steps.
 
     Raises DataError where the folder holds a run of another network, or the loss stops being finite.
     """
     if config.threads:
         torch.set_num_threads(config.threads)
     run = _Run(task, out, config, device)
+    run.about = about or {}
     run.resume()
     with _Interrupt() as interrupt, ThreadPoolExecutor(max_workers=1) as pool:
         ahead: dict[int, Future[Batch]] = {}
@@ -148,6 +131,7 @@ class _Run:
         self.optimiser = torch.optim.AdamW(groups, lr=config.lr, betas=(0.9, 0.98), fused=True)
         self.step, self.spent_s, self.best = 0, 0.0, math.inf
         self.last: dict[str, float] = {}
+        self.about: dict[str, str] = {}
         self.started = self.saved = time.monotonic()
 
     def seconds(self) -> float:
@@ -218,7 +202,7 @@ class _Run:
             tensors.update({f"adam.{index}.{name}": value for name, value in state.items()})
         state = {"step": self.step, "seconds": self.seconds(), "best": self.best, "last": self.last}
         _write(self.out / "last.safetensors", tensors, {"state": json.dumps(state)})
-        record = {**state, "config": asdict(self.config)}
+        record = {**state, "about": self.about, "config": asdict(self.config)}
         codecs.write_bytes(self.out / "last.json", json.dumps(record, indent=2).encode())
         self.saved = time.monotonic()
 

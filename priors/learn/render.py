@@ -5,7 +5,6 @@ lower, with other baselines, tilted, looking to the side. What differs between t
 (exposure, rectification, noise, dirt) is added when a sample is used, anew each time: learn/vary.py.
 """
 
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +12,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from priors.build import shard
 from priors.learn import sample as samples
 from priors.learn.sample import Sample
 from priors.street import lidar, rig
@@ -31,14 +31,15 @@ FIRST_WORLD = 100_000
 def render(out: Path, count: int, on_sample: Callable[[int], None] = lambda number: None, part: str = "1/1") -> None:
     """Render samples 0 to count - 1 into a folder; what is there already is kept.
 
+    Raises DataError where `part` is not i/n.
+
     Args:
         out: folder; sample n is `<n>.npz` and follows from n alone.
         count: how many samples it is to hold.
         on_sample: called with each sample's number when it is there.
         part: i/n, to share the work among n processes.
     """
-    first, step = (int(word) for word in part.split("/"))
-    for world in range(first - 1, -(-count // PER_STREET), step):
+    for world in shard(list(range(-(-count // PER_STREET))), part):
         street: Street | None = None
         for number in range(world * PER_STREET, min((world + 1) * PER_STREET, count)):
             path = out / f"{number:06d}.npz"
@@ -121,7 +122,7 @@ def _scan(
     street: Street, T_world_cam: Matrix, camera: Camera, time_s: float, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray]:
     """Measure one turn of a LiDAR mounted beside the camera as on KITTI's car; keep what falls into the image."""
-    material, tint = street._renderer.surfaces()
+    material, tint = street.surfaces()
     T_cam_velo = rig.T_left_velo()
     T_cam_velo[:3, 3] += rng.normal(0, 0.05, 3)
 
@@ -139,9 +140,3 @@ def _scan(
     inside = (seen[:, 2] > 0.5) & np.all((uv > -0.5) & (uv < [width - 0.5, height - 0.5]), axis=1)
     return seen[inside].astype(np.float32), beam[inside]
 
-
-if __name__ == "__main__":
-    import sys
-
-    os.nice(19)
-    render(Path(sys.argv[1]), int(sys.argv[2]), part=sys.argv[3])

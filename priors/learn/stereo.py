@@ -7,6 +7,7 @@ spread is what the error is: the next stage's range and the confidence rest on i
 """
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
 import cv2
@@ -18,6 +19,7 @@ from torch import Tensor, nn
 
 from priors.colours import colour_depth
 from priors.learn.loop import Batch
+from priors.nets import weights
 from priors.nets.outputs import Matched, StereoOut
 from priors.types import Image
 
@@ -27,6 +29,8 @@ SHARP_PX = 0.5
 """Errors below this are squared."""
 STAGE_WEIGHTS = (0.1, 0.3, 0.5)
 SPREAD_WEIGHT, DOUBT_WEIGHT = 0.3, 0.2
+SCHEDULE = (3500, 5500)
+"""Steps from which the second and the third stage learn too: the first one is a third of the work."""
 
 
 class StereoTask:
@@ -38,23 +42,28 @@ class StereoTask:
         draw: Callable[[np.random.Generator], Item],
         held_back: Sequence[Item] = (),
         size: int = 2,
+        schedule: tuple[int, int] = SCHEDULE,
     ) -> None:
-        """Take a network, what draws a training item, items to validate on, and how many items make a batch."""
+        """Take a network, what draws a training item, items to validate on, how many items make a batch, and the
+        steps at which the second and the third stage join."""
         self.net, self._draw, self._held_back, self._size = net, draw, held_back, size
+        self._schedule = schedule
 
     def batch(self, step: int, rng: np.random.Generator) -> Batch:
         """Draw a batch: left, right (b, 3, h, w), disparity_px, known, weight (b, h, w)."""
-        return collate([self._draw(rng) for _ in range(self._size)])
+        stages = 1 + sum(step >= first for first in self._schedule)
+        return collate([self._draw(rng) for _ in range(self._size)]) | {"stages": torch.tensor(stages)}
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss, and the final disparity's mean absolute error in pixels."""
-        out: StereoOut = self.net(batch["left"], batch["right"], LARGEST_PX)
+        stages = int(batch.get("stages", 3))
+        out: StereoOut = self.net(batch["left"], batch["right"], LARGEST_PX, stages)
         truth, weight = batch["disparity_px"], batch["weight"] * batch["known"]
         weight = weight * (truth < LARGEST_PX)
         error = (out.disparity_px - truth).abs()
-        total = mean(soft(error), weight)
+        total = mean(soft(error), weight) if stages == 3 else error.new_zeros(())
         spread = total.new_zeros(())
-        for stage, share in zip(out.stages, STAGE_WEIGHTS, strict=True):
+        for stage, share in zip(out.stages, STAGE_WEIGHTS, strict=False):
             step = truth.shape[-1] // stage.disparity_px.shape[-1]
             target, sure = (
                 truth[:, step // 2 :: step, step // 2 :: step],
@@ -62,9 +71,12 @@ class StereoTask:
             )
             total = total + share * mean(soft(step * stage.disparity_px - target), sure)
             spread = spread + cross_entropy(stage, target / step, sure)
+        total = total + SPREAD_WEIGHT * spread
+        terms = {"epe": mean(error, weight).detach(), "spread": spread.detach()}
+        if stages < 3:
+            return total, terms
         doubt = F.binary_cross_entropy_with_logits(out.doubt, (error.detach() > 1).float(), reduction="none")
-        total = total + SPREAD_WEIGHT * spread + DOUBT_WEIGHT * mean(doubt, weight)
-        return total, {"epe": mean(error, weight).detach(), "spread": spread.detach()}
+        return total + DOUBT_WEIGHT * mean(doubt, weight), terms
 
     def validate(self, net: nn.Module) -> dict[str, float]:
         """Return EPE, D1 and the share above 1 px by source; "error" is their mean EPE, each 5 px at most."""
@@ -92,9 +104,19 @@ class StereoTask:
             left = (item["left"].transpose(1, 2, 0) * 255).astype(np.uint8)
             sure = cv2.cvtColor((255 / (1 + np.exp(doubt))).astype(np.uint8), cv2.COLOR_GRAY2RGB)
             coloured = colour_depth(400 / np.maximum(disparity, 0.5), 4.0, 100.0)
-            truth = colour_depth(np.where(item["known"], 400 / np.maximum(item["disparity_px"], 0.5), 0), 4.0, 100.0)
+            truth_m = np.where(item["known"], 400 / np.maximum(item["disparity_px"], 0.5), 0).astype(np.float32)
+            truth = colour_depth(truth_m, 4.0, 100.0)
             shown[item["source"]] = np.concatenate([left, truth, coloured, sure])
         return shown
+
+
+def start_from(net: nn.Module, file: Path) -> int:
+    """Take over the weights whose names and shapes fit; returns how many did."""
+    ours = net.state_dict()
+    found = weights.load(file).tensors
+    fitting = {k: v.float() for k, v in found.items() if k in ours and ours[k].shape == v.shape}
+    net.load_state_dict(fitting, strict=False)
+    return len(fitting)
 
 
 def predict(net: nn.Module, item: Item) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:

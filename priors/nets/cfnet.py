@@ -130,8 +130,11 @@ class Cfnet(nn.Module):
         self.to_half = nn.Conv2d(channels[0], 36, 1)
         self.fine = Half(channels[0])
 
-    def forward(self, left: Tensor, right: Tensor, largest_px: int) -> StereoOut:
-        """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32)."""
+    def forward(self, left: Tensor, right: Tensor, largest_px: int, stages: int = 3) -> StereoOut:
+        """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32).
+
+        Training may ask for fewer stages, the first ones, at sizes that are multiples of 32.
+        """
         height, width = left.shape[-2:]
         dtype = self.to_half.weight.dtype
         images = pad(normalise(torch.cat([left, right]).float())).to(dtype)
@@ -139,12 +142,17 @@ class Cfnet(nn.Module):
         ours, theirs = [f.chunk(2)[0] for f in both], [f.chunk(2)[1] for f in both]
         image, other = images.chunk(2)
         coarse = self.coarse(ours, theirs, largest_px // 8)
+        if stages == 1:
+            return StereoOut.unfinished([coarse], (height, width))
         disparity, sigma8 = finer([coarse.disparity_px, coarse.sigma_px], self.to_quarter(ours[1]))
         quarter = self.quarter(ours[0], theirs[0], disparity, sigma8)
+        if stages == 2:
+            return StereoOut.unfinished([coarse, quarter], (height, width))
         maps = [quarter.disparity_px, quarter.sigma_px, sigma8]
         disparity, sigma4, sigma8 = finer(maps, self.to_half(ours[0]))
         half, doubt, weights = self.fine((image, ours[0]), (other, theirs[0]), disparity, [sigma4, sigma8])
         full, sigma = finer([half.disparity_px, half.sigma_px], weights)
         doubt = F.interpolate(doubt[:, None], scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
-        stages = [coarse, quarter, half] if self.training else []
-        return StereoOut(*(m[:, :height, :width] for m in (full, sigma, doubt)), stages)
+        seen = [coarse, quarter, half] if self.training else []
+        inside = (slice(None), slice(height), slice(width))
+        return StereoOut(full[inside], sigma[inside], doubt[inside], seen)

@@ -1,8 +1,10 @@
 """What stereo networks return, and how maps go from one stage to the next."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from priors.nets.upsample import convex
@@ -31,6 +33,14 @@ class StereoOut:
     """Logit of an error above 1 px: confidence = sigmoid(-doubt)."""
     stages: list[Matched]
     """Coarse to fine; empty in eval mode."""
+
+    @classmethod
+    def unfinished(cls, stages: list[Matched], size: tuple[int, int]) -> Self:
+        """Return the first stages' answer, for training them before the rest."""
+        maps = torch.stack([stages[-1].disparity_px, stages[-1].sigma_px], dim=1)
+        factor = size[1] / maps.shape[-1]
+        full = factor * F.interpolate(maps, size, mode="nearest")
+        return cls(full[:, 0], full[:, 1], torch.zeros_like(full[:, 0]), stages)
 
 
 def finer(maps: list[Tensor], weights: Tensor) -> list[Tensor]:

@@ -69,20 +69,28 @@ class Pcwnet(nn.Module):
         self.fine = Warping(32, 2, 32, (1, 1))
         self.doubt = nn.Conv2d(32, 1, 3, padding=1)
 
-    def forward(self, left: Tensor, right: Tensor, largest_px: int) -> StereoOut:
-        """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32)."""
+    def forward(self, left: Tensor, right: Tensor, largest_px: int, stages: int = 3) -> StereoOut:
+        """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32).
+
+        Training may ask for fewer stages, the first ones, at sizes that are multiples of 32.
+        """
         height, width = left.shape[-2:]
         images = pad(normalise(torch.cat([left, right]).float())).to(self.to_quarter.weight.dtype)
         levels = self.trunk(images)
         ours, theirs = [f.chunk(2)[0] for f in levels], [f.chunk(2)[1] for f in levels]
         coarse = self.coarse(ours, theirs, largest_px // 8)
+        if stages == 1:
+            return StereoOut.unfinished([coarse], (height, width))
         disparity, sigma = finer([coarse.disparity_px, coarse.sigma_px], self.to_quarter(ours[1]))
         disparity4, weights, _ = self.quarter(ours[0], theirs[0], disparity, sigma)
+        if stages == 2:
+            return StereoOut.unfinished([coarse, Matched(disparity4, sigma)], (height, width))
         disparity, sigma = finer([disparity4, sigma], weights)
         above = F.interpolate(self.lift(levels[0]), scale_factor=2.0, mode="nearest")
         a, b = self.features(torch.cat([F.pixel_unshuffle(images, 2), above], dim=1)).chunk(2)
         disparity2, weights, body = self.fine(a, b, disparity, sigma)
         full, sigma = finer([disparity2, sigma], weights)
         doubt = F.interpolate(self.doubt(body).float(), scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
-        stages = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)] if self.training else []
-        return StereoOut(*(m[:, :height, :width] for m in (full, sigma, doubt)), stages)
+        seen = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)] if self.training else []
+        inside = (slice(None), slice(height), slice(width))
+        return StereoOut(full[inside], sigma[inside], doubt[inside], seen)

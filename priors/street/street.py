@@ -52,5 +52,9 @@ class Street:
     def sweep(self, time_s: float, noise_seed: int = 0) -> tuple[Floats, Floats]:
         """Measure one LiDAR turn on the rig's drive: points (n, 4) x y z reflectance, times (n,); see lidar.scan."""
         rng = np.random.default_rng([self.config.seed, 8, noise_seed])
-        material, tint = self._renderer.surfaces()
+        material, tint = self.surfaces()
         return lidar.scan(self.scene, material, tint, self.T_world_velo, time_s, rng)
+
+    def surfaces(self) -> tuple[npt.NDArray[np.uint8], Floats]:
+        """Return material (n,) and tint (n, 3) of the scene's triangles, as `lidar.scan` wants them."""
+        return self._renderer.surfaces()

@@ -1,0 +1,155 @@
+"""`priors train`: render samples, train the networks, pack what they learned."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from cli.arguments import parse
+from cli.console import err, out, progress, train_progress
+from priors.errors import DataError
+from priors.learn.config import TrainConfig
+
+if TYPE_CHECKING:
+    from priors.learn.loop import Task
+
+USAGE = """Train the networks on your own data. Every run stops (Ctrl-C, kill) and goes on with the same command.
+
+  priors train samples samples/ --count 4800            synthetic pairs with exact truth; --part 1/2 for two machines
+  priors train stereo runs/cfnet-s --street samples/ --net cfnet --size s --minutes 90
+  priors train stereo runs/cfnet-s --street samples/ --real DATA --minutes 240
+  priors train completion runs/mffnet --street samples/ --real DRIVE
+  priors train mono runs/bts --street samples/
+  priors train pack runs/cfnet-s cfnet-s.safetensors    what `--stereo.weights` takes
+
+priors train WHAT --help tells the rest"""
+
+
+@dataclass(frozen=True)
+class SamplesArguments:
+    """Arguments of `priors train samples`."""
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """Folder to write samples into; what is there is kept."""
+    count: int = 4800
+    """Samples the folder is to hold, 1.3 MB each."""
+    part: str = "1/1"
+    """i/n: the i-th of n machines' share."""
+
+
+@dataclass(frozen=True)
+class RunArguments:
+    """What training any network takes."""
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """The run's folder: checkpoint, log.jsonl, pictures/. A run that is there goes on."""
+    street: Path = Path("samples")
+    """Folder of `priors train samples`."""
+    real: Path | None = None
+    """Real data to learn from too: a folder that holds kitti_odometry, kitti_raw_train, camvid or some of them."""
+    size: Literal["s", "m", "l"] = "s"
+    """The network's size."""
+    batch: int = 2
+    """Crops in a step."""
+    device: Literal["auto", "cpu", "cuda"] = "auto"
+    """Where to train; auto: a GPU where there is one."""
+    how: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
+
+
+@dataclass(frozen=True)
+class StereoArguments(RunArguments):
+    """Arguments of `priors train stereo`."""
+
+    net: Literal["cfnet", "pcwnet"] = "cfnet"
+    """Which network."""
+    teacher: Path | None = None
+    """Folder of a teacher's maps of the odometry frames, see `python -m priors.learn.teach --help`."""
+    start: Path | None = None
+    """Weights to start from: those of the tensors that this network has too (a trunk trained for another, say)."""
+
+
+@dataclass(frozen=True)
+class PackArguments:
+    """Arguments of `priors train pack`."""
+
+    run: Annotated[Path, tyro.conf.Positional]
+    """Folder of a training run."""
+    out: Annotated[Path, tyro.conf.Positional]
+    """File to write: .safetensors."""
+
+
+def run(arguments: list[str]) -> int:
+    """Train; returns the exit code."""
+    kinds: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
+        "samples": (SamplesArguments, render_samples),
+        "stereo": (StereoArguments, lambda args: train_network(args, stereo_task(args), args.net)),
+        "completion": (RunArguments, lambda args: train_network(args, completion_task(args), "mffnet")),
+        "mono": (RunArguments, lambda args: train_network(args, mono_task(args), "bts")),
+        "pack": (PackArguments, pack),
+    }
+    if not arguments or arguments[0] in ("-h", "--help"):
+        out.print(USAGE, markup=False)
+        return 0
+    name, rest = arguments[0], arguments[1:]
+    if name not in kinds:
+        raise DataError(f"priors train {name}: expected one of {', '.join(kinds)}")
+    kind, command = kinds[name]
+    command(parse(kind, f"priors train {name}", USAGE, rest))
+    return 0
+
+
+def render_samples(args: SamplesArguments) -> None:
+    """Render samples of procedural streets."""
+    from priors.learn.render import render
+
+    with progress("samples", args.count) as step:
+        render(args.out, args.count, step, args.part)
+    out.print(f"wrote {args.out}")
+
+
+def stereo_task(args: StereoArguments) -> "Task":
+    """Make what a stereo network learns."""
+    from priors.learn import data, stereo
+    from priors.nets import runtime
+
+    net = runtime.create(args.net, args.size)
+    if args.start is not None:
+        err.print(f"{stereo.start_from(net, args.start)} tensors taken from {args.start}")
+    sources = {"street": args.street, "real": args.real, "teacher": args.teacher}
+    return stereo.StereoTask(net, data.mixture(**sources), data.validation(**sources, count=10), args.batch)
+
+
+def completion_task(args: RunArguments) -> "Task":
+    """Make what the completion network learns."""
+    from priors.learn.completion import CompletionConfig, CompletionTask
+
+    return CompletionTask(CompletionConfig(street=args.street, real=args.real, batch=args.batch, size=args.size))
+
+
+def mono_task(args: RunArguments) -> "Task":
+    """Make what the single-image network learns."""
+    from priors.learn.mono import MonoConfig, MonoTask
+
+    return MonoTask(MonoConfig(args.street, args.real, args.out / "cache", batch=args.batch, size=args.size))
+
+
+def train_network(args: RunArguments, task: "Task", net: str) -> None:
+    """Train and tell how to use the result."""
+    from cli.fit import pick_device
+    from priors.learn.loop import train
+
+    with train_progress(args.out.name) as on_step:
+        last = train(task, args.out, args.how, {"net": net, "size": args.size}, pick_device(args.device), on_step)
+    for name, value in last.items():
+        out.print(f"{name:<28}{value:.4f}")
+    out.print(f"wrote {args.out}; next: priors train pack {args.out} {net}-{args.size}.safetensors")
+
+
+def pack(args: PackArguments) -> None:
+    """Write a run's best weights as a file that methods take."""
+    from priors.learn.pack import pack_run
+
+    pack_run(args.run, args.out)
+    out.print(f"wrote {args.out} ({args.out.stat().st_size / 1e6:.1f} MB)")
