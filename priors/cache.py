@@ -2,7 +2,7 @@
 
     cache/<drive>/<method>-<key>/manifest.json          what made it
                                 /depth/<id>.png         uint16, metres x 256, rounded, 0 = no value
-                                /confidence/<id>.png    uint8, confidence x 255; where the method has one
+                                /confidence/<id>.png    uint16, confidence x 65535 (8 bits are read too)
                                 /frames.jsonl           one line a computed frame: seconds, density, range
 
 The key is a hash of everything that decides what the maps hold, so a changed parameter is another folder and never

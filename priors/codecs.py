@@ -101,16 +101,19 @@ def write_depth_png(path: Path, depth_m: npt.NDArray[np.floating], encoding: str
 
 
 def read_confidence_png(path: Path) -> FloatMap:
-    """Read a uint8 confidence PNG: float32 (height, width) in [0, 1]."""
+    """Read a uint16 or uint8 confidence PNG: float32 (height, width) in [0, 1]."""
     codes = _decode(path, cv2.IMREAD_UNCHANGED)
-    if codes.dtype != np.uint8 or codes.ndim != 2:
-        raise DataError(f"{path}: expected an 8-bit one-channel PNG, found {codes.dtype} with shape {codes.shape}")
-    return codes.astype(np.float32) / np.float32(255)
+    if codes.dtype not in (np.uint8, np.uint16) or codes.ndim != 2:
+        raise DataError(f"{path}: expected a one-channel PNG of integers, found {codes.dtype} with shape {codes.shape}")
+    return codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
 
 
 def write_confidence_png(path: Path, confidence: FloatMap) -> None:
-    """Write confidence in [0, 1] as a uint8 PNG, rounded, atomically."""
-    codes = np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 255).astype(np.uint8)
+    """Write confidence in [0, 1] as a uint16 PNG, rounded, atomically.
+
+    Eight bits would lump together most of what a good method trusts: 0.99 and 0.999 are apart by three codes.
+    """
+    codes = np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 65535).astype(np.uint16)
     write_bytes(path, _encode(path, codes, [cv2.IMWRITE_PNG_COMPRESSION, 1]))
 
 

@@ -65,12 +65,17 @@ def test_empty_map_encodes_to_an_empty_one() -> None:
 @given(hnp.arrays(np.float32, small_maps, elements=st.floats(0, 1, width=32)))
 def test_confidence_round_trip_is_within_half_a_step(tmp_path: Path, confidence: np.ndarray) -> None:
     codecs.write_confidence_png(tmp_path / "c.png", confidence)
-    np.testing.assert_allclose(codecs.read_confidence_png(tmp_path / "c.png"), confidence, atol=0.5 / 255 + 1e-6)
+    np.testing.assert_allclose(codecs.read_confidence_png(tmp_path / "c.png"), confidence, atol=0.5 / 65535 + 1e-7)
 
 
 def test_confidence_out_of_range_is_brought_in(tmp_path: Path) -> None:
     codecs.write_confidence_png(tmp_path / "c.png", np.array([[-1, 2, np.nan, 0.5]], np.float32))
-    np.testing.assert_allclose(codecs.read_confidence_png(tmp_path / "c.png"), [[0, 1, 0, 128 / 255]])
+    np.testing.assert_allclose(codecs.read_confidence_png(tmp_path / "c.png"), [[0, 1, 0, 32768 / 65535]])
+
+
+def test_confidence_of_eight_bits_is_read(tmp_path: Path) -> None:
+    codecs.write_image(tmp_path / "c.png", np.array([[0, 51, 255]], np.uint8))
+    np.testing.assert_allclose(codecs.read_confidence_png(tmp_path / "c.png"), [[0, 0.2, 1]])
 
 
 @on_disk

@@ -80,6 +80,16 @@ def test_confidence_falls_with_doubt() -> None:
     assert Calibration.trusting()(flat, flat, np.zeros_like(flat)) == pytest.approx(0.5)
 
 
+def test_different_scores_get_different_probabilities() -> None:
+    """Even where all pixels are right: the order is what the filters and curves use."""
+    seen = drawn()
+    made = fit(seen.terms, np.ones_like(seen.within))
+    confidence = made.probability(made.score(seen.terms))
+    assert confidence.min() > 0.99 and confidence.max() <= 1
+    assert np.unique(np.rint(confidence * 65535)).size > 250
+    assert (np.diff(made.probabilities) < 0).all() and (np.diff(made.scores) > 0).all()
+
+
 def test_distance_helps_the_relative_error_and_the_choice_minds_both() -> None:
     seen = drawn()
     plain, far = (ratios(fit(seen.terms, seen.within, far), seen) for far in (0.0, 2.0))

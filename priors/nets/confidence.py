@@ -21,6 +21,8 @@ SMALLEST_PX = 0.02
 STEEP = 3.0
 """px per px: a steeper disparity counts as this steep."""
 RIDGE = 1.0
+TILT = 2e-4
+"""Least fall of the table from knot to knot."""
 TERMS = ("doubt", "log_sigma", "distance", "slope", "hidden")
 """What the score is made of, see `evidence`."""
 
@@ -111,11 +113,18 @@ def fit(terms: FloatMap, within: npt.NDArray[np.bool_], far: float = 0.0, knots:
     weights = _regress(terms, ~within, far)
     score = np.tensordot(weights, terms, axes=1)
     order = np.argsort(score)
-    edges = np.unique(np.linspace(0, score.size, knots + 1).astype(int))
-    bins = list(pairwise(edges))
-    middles = np.array([score[order[a:b]].mean() for a, b in bins])
+    bins = list(pairwise(np.unique(np.linspace(0, score.size, knots + 1).astype(int))))
     shares = falling(np.array([within[order[a:b]].mean() for a, b in bins]), np.array([b - a for a, b in bins]))
-    return Calibration(tuple(map(float, weights)), tuple(map(float, middles)), tuple(map(float, shares)))
+    middles = [score[order[a:b]].mean() for a, b in bins]
+    ends = score[order[0]] - 1e-3, score[order[-1]] + 1e-3
+    table = _tilt(np.concatenate([shares[:1], shares, shares[-1:]]))
+    return Calibration(*(tuple(map(float, part)) for part in (weights, [ends[0], *middles, ends[1]], table)))
+
+
+def _tilt(shares: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Let a falling table fall everywhere, by a little: pixels of different scores never get the same probability."""
+    below = np.arange(shares.size)[::-1]
+    return shares * (1 - TILT * (shares.size - 1)) + TILT * below
 
 
 def falling(values: npt.NDArray[np.float64], counts: npt.NDArray[np.int64]) -> npt.NDArray[np.float64]:
