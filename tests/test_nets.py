@@ -114,6 +114,17 @@ def test_convex_upsampling_stays_between_its_neighbours(seed: int, factor: int) 
         assert (fine[0, :, y, x] >= around.amin(1) - 1e-5).all()
 
 
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6), factor=st.sampled_from([2, 4]), height=st.integers(1, 4))
+def test_convex_upsamplings_kernel_equals_plain_torch(seed: int, factor: int, height: int) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    values = torch.randn(2, 3, height, 5, generator=generator)
+    weights = torch.randn(2, 9 * factor**2, height, 5, generator=generator) * 20
+    with torch.no_grad():
+        ours = convex(values, weights, factor)
+    torch.testing.assert_close(ours, convex(values, weights, factor), atol=1e-5, rtol=1e-5)
+
+
 def test_convex_upsampling_with_all_weight_on_a_neighbour_repeats_it() -> None:
     values = torch.rand(1, 1, 3, 3)
     weights = torch.zeros(1, 4, 9, 3, 3)

@@ -6,11 +6,12 @@ import torch
 from torch import Tensor
 
 from priors.nets import volume
+from priors.nets.upsample import is_traced
 
 
 def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
     """Match at each pixel's own disparities; see volume.lookup, which this equals."""
-    if left.device.type != "cpu" or torch.onnx.is_in_onnx_export() or torch.compiler.is_compiling():
+    if left.device.type != "cpu" or is_traced():
         return volume.lookup(left, right, disparity_px, groups)
     found: Tensor = _Match.apply(left, right, disparity_px, groups)
     return found.permute(0, 4, 1, 2, 3)
@@ -18,7 +19,7 @@ def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Te
 
 def correlate(left: Tensor, right: Tensor, groups: int, planes: int) -> Tensor:
     """Match at disparities 0 .. planes - 1; see volume.correlate, which this equals."""
-    if left.device.type != "cpu" or torch.onnx.is_in_onnx_export() or torch.compiler.is_compiling():
+    if left.device.type != "cpu" or is_traced():
         return volume.correlate(left, right, groups, planes)
     disparity_px = torch.arange(planes, dtype=torch.float32).expand(*left.shape[:3], planes)
     return lookup(left, right, disparity_px, groups)

@@ -18,6 +18,8 @@ def convex(values: Tensor, weights: Tensor, factor: int) -> Tensor:
     Returns:
         (b, c, factor * h, factor * w) float32, each value between the least and the largest of its 3x3 neighbours.
     """
+    if values.device.type == "cpu" and not torch.is_grad_enabled() and not is_traced():
+        return _on_cpu(values, weights, factor)
     batch, channels, height, width = values.shape
     logits = weights.permute(0, 2, 3, 1).reshape(batch, height, width, factor * factor, 9)
     # Logits are held where float32's exp is safe; torch's softmax is slow over so few values.
@@ -28,3 +30,20 @@ def convex(values: Tensor, weights: Tensor, factor: int) -> Tensor:
     around = torch.stack(views, dim=-1)  # (b, c, h, w, 9)
     fine = [(around[:, channel, :, :, None] * share).sum(-1) for channel in range(channels)]
     return torch.cat([F.pixel_shuffle(f.permute(0, 3, 1, 2), factor) for f in fine], dim=1)
+
+
+def _on_cpu(values: Tensor, weights: Tensor, factor: int) -> Tensor:
+    """Do the same in a kernel."""
+    from priors.kernels import convex as kernels
+
+    batch, channels, height, width = values.shape
+    share = weights.permute(0, 2, 3, 1).to(torch.float32, memory_format=torch.contiguous_format, copy=True)
+    share.clamp_(-LARGEST, LARGEST).exp_()
+    out = torch.empty(batch, channels, factor * height, factor * width)
+    kernels.upsample(values.float().contiguous().numpy(), share.numpy(), factor, out.numpy())
+    return out
+
+
+def is_traced() -> bool:
+    """Tell whether torch is writing down the network for export: then only plain torch will do."""
+    return bool(torch.onnx.is_in_onnx_export() or torch.compiler.is_compiling() or torch.jit.is_tracing())
