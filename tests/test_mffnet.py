@@ -15,6 +15,7 @@ from priors.learn.completion import CompletionConfig, CompletionTask
 from priors.learn.odometry import align
 from priors.learn.sample import Sample, write
 from priors.learn.scans import Scene
+from priors.methods._completion_network import span
 from priors.methods.completion import Completion, complete, near_samples
 from priors.nets import runtime, weights
 from priors.nets.fused import available, fuse
@@ -248,6 +249,16 @@ def test_rows_without_samples_are_left_out_of_the_work(method: Completion) -> No
     assert not depth.valid[:150].any() and depth.valid[160:].all()
 
 
+def test_rows_come_in_multiples_of_32_where_there_are_enough() -> None:
+    near = np.zeros((100, 10), bool)
+    near[40:60] = True
+    assert span(near) == slice(28, 60)
+    near[90] = True
+    assert span(near) == slice(27, 91)
+    near[5] = True
+    assert span(near) == slice(0, 91)
+
+
 def test_an_untrained_network_is_the_classical_method(tmp_path: Path) -> None:
     path = tmp_path / "mffnet-s.safetensors"
     weights.write(path, Mffnet("s"), {"net": "mffnet", "size": "s"})
@@ -375,7 +386,7 @@ def test_the_task_is_decided_by_its_arguments_and_learns(street: Path) -> None:
     assert len(task.streets.train) == 2 and len(task.streets.validation) == 1
     first, again = (task.batch(3, np.random.default_rng([0, 3])) for _ in range(2))
     assert all(torch.equal(first[name], again[name]) for name in first)
-    assert first["image"].shape == (2, 3, 256, 512) and all(torch.isfinite(value).all() for value in first.values())
+    assert first["image"].shape == (2, 3, 192, 448) and all(torch.isfinite(value).all() for value in first.values())
     first["truth_m"] *= 1.2  # the pre-fill is wrong everywhere, and the network can tell by how much
     optimiser = torch.optim.Adam(task.net.parameters(), 3e-3)
     losses = []

@@ -24,13 +24,18 @@ LINE_RAD = np.radians(np.concatenate([np.linspace(2.0, -8.33, 32), np.linspace(-
 
 
 class Drive:
-    """A KITTI raw drive with sweeps and no poses, held in memory; the first frames are for validation."""
+    """KITTI raw drives with sweeps and no poses, held in memory; the first frames of each are for validation."""
 
     def __init__(self, folder: Path, held_out: int = 4) -> None:
-        drive = KittiRaw(folder)
-        frames = [drive[index] for index in range(len(drive))]
-        scenes = [_scene(frame) for frame in _placed(frames)]
-        self.train, self.validation = scenes[held_out:], scenes[:held_out]
+        """Take a drive's folder, or one whose kitti_raw_train/ holds drives; DataError where there is none."""
+        within = sorted((folder / "kitti_raw_train").glob("*/*_sync"))
+        self.train: list[Scene] = []
+        self.validation: list[Scene] = []
+        for found in within or [folder]:
+            drive = KittiRaw(found)
+            scenes = [_scene(frame) for frame in _placed([drive[index] for index in range(len(drive))])]
+            self.train += scenes[held_out:]
+            self.validation += scenes[:held_out]
 
 
 def _placed(frames: list[Frame]) -> list[Frame]:

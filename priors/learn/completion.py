@@ -6,7 +6,6 @@ Running the command again goes on where it was; `--export FILE` packs the best w
 """
 
 import argparse
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,16 +18,19 @@ from priors.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
 from priors.learn import loop, scans
 from priors.learn.accumulated import Drive
-from priors.learn.loop import Batch, TrainConfig
+from priors.learn.config import TrainConfig
+from priors.learn.loop import Batch
+from priors.learn.pack import pack_run
 from priors.learn.scans import Scene, Shown, Streets
 from priors.methods.completion import EVERYWHERE_PX, complete
-from priors.nets import weights
 from priors.nets.mffnet import Completed, Mffnet
 from priors.types import FloatMap, Image
 
-CROP = (256, 512)
+CROP = (192, 448)
 VALIDATED = (1, 1, 4, 1)
 """Every how many-th scan line is shown for validation."""
+RELATIVE = 20
+"""Weight of the relative error against the absolute one in metres: equal at 20 m."""
 HUBER_M = 5.0
 """Errors beyond this count linearly: what neither image nor LiDAR tells must not drown the rest."""
 
@@ -40,7 +42,7 @@ class CompletionConfig:
     street: Path = Path("street")
     """Folder of samples from `priors train render`."""
     real: Path | None = None
-    """KITTI raw drive with sweeps; never the one that is tested on."""
+    """KITTI raw drive with sweeps, or a folder whose kitti_raw_train/ holds such; never what is tested on."""
     real_share: float = 0.4
     """Share of the real drive's crops in a batch."""
     batch: int = 6
@@ -90,7 +92,7 @@ class CompletionTask:
             inside = error_m.clamp_max(HUBER_M)
             squared = inside * inside + 2 * HUBER_M * (error_m - inside)
             ratio = (depth_m.log() - truth_m.log()).abs()
-            return mean(error_m + self.config.squared * squared + 5 * ratio)
+            return mean(error_m + self.config.squared * squared + RELATIVE * ratio)
 
         fit = deviation(out.depth_m)
         parts = sum((deviation(depth_m) for depth_m in out.branches_m), torch.zeros(()))
@@ -201,13 +203,6 @@ def draw(shown: Shown, fill_m: FloatMap, depth_m: FloatMap) -> Image:
     return np.concatenate([np.concatenate(row, axis=1) for row in rows])
 
 
-def export(task: CompletionTask, out: Path, file: Path) -> None:
-    """Pack the best weights of a run."""
-    found = weights.load(out / "best.safetensors")
-    task.net.load_state_dict(found.tensors)
-    weights.write(file, task.net, {"net": "mffnet", "size": task.config.size})
-
-
 def _window(scene: Scene, rng: np.random.Generator, lowest: bool) -> tuple[int, int]:
     """Draw where a crop starts (row, column); real LiDAR leaves the upper third of the image empty."""
     height, width = scene.camera.size
@@ -224,28 +219,24 @@ def main() -> None:
     parser.add_argument("--street", type=Path, required=True)
     parser.add_argument("--real", type=Path)
     parser.add_argument("--minutes", type=float, default=25.0)
-    parser.add_argument("--lr", type=float, default=1e-3)
+    parser.add_argument("--lr", type=float, default=2e-3)
     parser.add_argument("--batch", type=int, default=6)
     parser.add_argument("--size", default="m")
     parser.add_argument("--validate-every", type=int, default=300)
-    parser.add_argument("--warm-up", type=int, default=100)
     parser.add_argument("--threads", type=int)
     parser.add_argument("--export", type=Path)
     given = parser.parse_args()
-    os.nice(5)
-    config = CompletionConfig(street=given.street, real=given.real, batch=given.batch, size=given.size)
-    task = CompletionTask(config)
+    cv2.setNumThreads(1)
+    task = CompletionTask(CompletionConfig(given.street, given.real, batch=given.batch, size=given.size))
     how = TrainConfig(
-        minutes=given.minutes,
-        lr=given.lr,
-        warm_up=given.warm_up,
-        validate_every=given.validate_every,
-        threads=given.threads,
+        given.minutes, lr=given.lr, warm_up=100, validate_every=given.validate_every, threads=given.threads
     )
-    last = loop.train(task, given.out, how, on_step=lambda p: print(p.step, f"{p.done:.2f}", p.values, flush=True))
-    print(last)
+    about = {"net": "mffnet", "size": given.size}
+    print(
+        loop.train(task, given.out, how, about, on_step=lambda p: print(p.step, f"{p.done:.2f}", p.values, flush=True))
+    )
     if given.export:
-        export(task, given.out, given.export)
+        pack_run(given.out, given.export)
 
 
 if __name__ == "__main__":

@@ -2,18 +2,20 @@
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import torch
+from torch import Tensor
 
 from priors.nets import runtime
 from priors.nets.fused import fuse
+from priors.nets.memory import keep_freed
 from priors.nets.runtime import Ready, Runtime
+from priors.nets.trunk import MULTIPLE
 from priors.types import Depth, FloatMap, Image, Mask
 
 WITHIN = 0.05
 """The confidence is the probability that the depth is right within this share of it."""
-NEARER, FARTHER = np.float32(0.8), np.float32(1.25)
-"""No value is nearer than the nearest sample, or farther than the farthest, by more than these factors."""
 _fused: dict[int, Ready] = {}
 
 
@@ -22,12 +24,15 @@ def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready:
     ready = runtime.open_net("mffnet", size, chosen, file)
     if chosen != "bf16":
         return ready
+    keep_freed()
     if id(ready.net) not in _fused:
         _fused[id(ready.net)] = Ready(fuse(ready.net), ready.runtime, ready.about)
     return _fused[id(ready.net)]
 
 
-def mend(ready: Ready, fill: Depth, sparse_m: FloatMap, image: Image, near: Mask) -> Depth:
+def mend(
+    ready: Ready, fill: Depth, sparse_m: FloatMap, image: Image, near: Mask, limits_m: tuple[float, float]
+) -> Depth:
     """Correct a filled map (height, width).
 
     Args:
@@ -36,26 +41,37 @@ def mend(ready: Ready, fill: Depth, sparse_m: FloatMap, image: Image, near: Mask
         sparse_m: the samples it was filled from, metres, 0 = none; at least one.
         image: (height, width, 3) RGB or (height, width) grey, uint8.
         near: (height, width) where a value is wanted. Rows outside are left out before anything is computed.
+        limits_m: the nearest and the farthest value that may come out.
 
     Returns:
         depth_m, and the confidence: the probability that it is right within 5 %; both 0 where no value is wanted.
     """
+    assert fill.confidence is not None
+    rows = span(near)
+    colour = image[rows] if image.ndim == 3 else np.repeat(image[rows, :, None], 3, axis=2)
+    kind = torch.bfloat16 if ready.runtime == "bf16" else torch.float32
+    seen = torch.from_numpy(_pad(colour)).permute(2, 0, 1)[None].to(kind) / 255
+    maps: list[Tensor] = [
+        torch.from_numpy(_pad(values[rows]))[None] for values in (fill.depth_m, fill.confidence, sparse_m)
+    ]
+    found = ready(seen, *maps)
     depth_m, confidence = np.zeros((2, *near.shape), np.float32)
-    wanted = np.flatnonzero(near.any(axis=1))
-    rows = slice(int(wanted[0]), int(wanted[-1]) + 1)
-    maps = (torch.from_numpy(np.ascontiguousarray(values[rows]))[None] for values in _maps(fill, sparse_m))
-    found = ready(runtime.as_input(image[rows]), *maps)
-    samples_m = sparse_m[sparse_m > 0]
-    limits = float(samples_m.min() * NEARER), float(samples_m.max() * FARTHER)
     with torch.inference_mode():
         trust = -torch.expm1(-WITHIN * torch.exp(-found.log_scale))
-        depth_m[rows] = runtime.as_map(found.depth_m.clamp(*limits))
-        confidence[rows] = runtime.as_map(trust)
-    depth_m *= near
-    confidence *= near
+        for value, target in ((found.depth_m.clamp_(*limits_m), depth_m), (trust, confidence)):
+            np.multiply(value[0].cpu().numpy()[: near[rows].shape[0], : near.shape[1]], near[rows], out=target[rows])
     return Depth(depth_m, confidence)
 
 
-def _maps(fill: Depth, sparse_m: FloatMap) -> tuple[FloatMap, FloatMap, FloatMap]:
-    assert fill.confidence is not None
-    return fill.depth_m, fill.confidence, sparse_m
+def span(near: Mask) -> slice:
+    """Return the rows that hold all that is wanted, and more above, so that their number is a multiple of 32."""
+    wanted = np.flatnonzero(near.any(axis=1))
+    bottom = int(wanted[-1]) + 1
+    count = -(-(bottom - int(wanted[0])) // MULTIPLE) * MULTIPLE
+    return slice(max(0, bottom - count), bottom)
+
+
+def _pad(values: np.ndarray) -> np.ndarray:
+    """Repeat the right and bottom edges until both sizes are multiples of 32: cheaper here than in the network."""
+    height, width = values.shape[:2]
+    return np.asarray(cv2.copyMakeBorder(values, 0, -height % MULTIPLE, 0, -width % MULTIPLE, cv2.BORDER_REPLICATE))

@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from priors.kernels.samples import Samples
 
 SHRINK, LEVELS = 6, 3  # from one level to the next, and how many: the coarsest cell is 36 pixels
-SAMPLE_M = 1e-3, 1e4  # what is not in between is no sample
 EVERYWHERE_PX = 1 << 20  # as reach_px: a value in every pixel
 CELL_PX = 4  # grid of the tests that need no pixel's precision
 LARGEST_GAP_PX = 48  # spacing beyond which the coarser levels do the filling
@@ -128,15 +127,21 @@ class Completion:
         guidance: float = 1.0,
     ) -> Depth:
         """Fill a sparse map as `complete` does, and let the network correct it; where no sample is near, both are 0."""
+        from priors.kernels.samples import gather
         from priors.methods import _completion_network as network
         from priors.nets import runtime
 
         ready = network.open_network(self.size, runtime.choose(self.runtime, self.weights), self.weights)
         fill = complete(sparse_m, image, camera, T_cam_lidar, guidance, EVERYWHERE_PX)
-        if not fill.valid.any():
+        samples = gather(np.ascontiguousarray(sparse_m, dtype=np.float32))
+        _, row, column, inverse = samples
+        if not len(row):
             return fill  # no sample, no value
-        sparse_m = np.where((sparse_m > SAMPLE_M[0]) & (sparse_m < SAMPLE_M[1]), sparse_m, np.float32(0))
-        return network.mend(ready, fill, sparse_m, image, near_samples(sparse_m, self.reach_px))
+        clean_m = np.zeros_like(fill.depth_m)
+        clean_m[row, column] = 1 / inverse
+        near = _near(samples, clean_m.shape, self.reach_px)[: clean_m.shape[0], : clean_m.shape[1]] > 0
+        least, largest = _limits(inverse)
+        return network.mend(ready, fill, clean_m, image, near, (float(1 / largest), float(1 / least)))
 
 
 def complete(
@@ -254,9 +259,14 @@ def _finish(
     cv2.medianBlur(inverse[pad : pad + size[0], pad : pad + size[1]], 5, dst=crisp)
     cv2.GaussianBlur(crisp, (3, 3), 0, dst=soft)
     near = _near(samples, size, reach_px)
-    limits = np.float32(samples[3].min() * 0.8), np.float32(samples[3].max() * 1.25)
+    limits = _limits(samples[3])
     spread.finish(crisp, soft, certain, pad, near, *limits, EDGE, depth_m, confidence)
     return Depth(depth_m, confidence)
+
+
+def _limits(inverse: FloatMap) -> tuple[np.float32, np.float32]:
+    """Return the least and the largest inverse depth (1/m) that may come out."""
+    return np.float32(inverse.min() * 0.8), np.float32(inverse.max() * 1.25)
 
 
 def near_samples(sparse_m: FloatMap, reach_px: int) -> Mask:
