@@ -1,17 +1,13 @@
-"""Train depth from one image: python -m priors.learn.mono OUT --street FOLDER --data ../shared/data --minutes 120.
+"""Train depth from one image: priors train mono RUN --street samples/ --real DATA --size m --batch 4.
 
 From procedural streets (dense, exact), a KITTI drive's LiDAR (sparse) and grey KITTI odometry pairs whose depth our
-classical matcher is sure of (computed once, cached in OUT). Running the command again goes on where it was;
-`--export FILE` packs the best weights so far.
+classical matcher is sure of (computed once, cached in RUN).
 """
 
-import argparse
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 import torch.nn.functional as F
@@ -22,14 +18,13 @@ from priors.colours import colour_depth, thicken
 from priors.drives import DriveOptions
 from priors.errors import DataError
 from priors.filters import Filters
-from priors.learn import loop
 from priors.learn import sample as samples
-from priors.learn.loop import Batch, TrainConfig
+from priors.learn.loop import Batch
 from priors.learn.views import LARGEST_M, SKY, SURFACE, UNKNOWN, View, collate, cut, label_sky, repaint
 from priors.methods._mono_known import trusted
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
-from priors.nets import bts, weights
+from priors.nets import bts
 from priors.types import Image
 
 CROP, ZOOM = (256, 512), (0.65, 1.5)
@@ -47,7 +42,7 @@ class MonoConfig:
     street: Path = Path("street")
     """Folder of samples from `priors train render`."""
     data: Path | None = None
-    """Folder that holds kitti_raw_train and kitti_odometry; none: streets only."""
+    """Folder that holds kitti_raw_train, kitti_odometry or both; none: streets only."""
     cache: Path = Path("cache")
     """Where the stereo depth of the odometry pairs is kept."""
     real_share: float = 0.4
@@ -67,7 +62,7 @@ class MonoTask:
 
     def __post_init__(self) -> None:
         torch.manual_seed(0)
-        self.net = bts.create(self.config.size)
+        self.net = bts.Bts(self.config.size)
         paths = sorted(path for path in self.config.street.glob("*.npz") if path.stem.isdigit())
         held = [int(path.stem) // PER_WORLD % 10 == 3 for path in paths]
         self._streets = [path for path, out in zip(paths, held, strict=True) if not out]
@@ -137,13 +132,13 @@ def read_street(path: Path) -> View:
 
 def read_real(data: Path, cache: Path) -> Iterator[View]:
     """Read the training drives: LiDAR of the slow colour drive, confident stereo of the grey odometry runs."""
-    lidar = Lidar(sweeps=1)
-    slow = drives.open_drive(data / "kitti_raw_train" / "2011_09_26" / "2011_09_26_drive_sfnd_sync")
+    lidar, folder = Lidar(sweeps=1), data / "kitti_raw_train" / "2011_09_26" / "2011_09_26_drive_sfnd_sync"
+    slow = drives.open_drive(folder) if folder.is_dir() else ()
     for index in range(len(slow)):
         frame = slow[index]
         image, depth_m = frame.image(), lidar(frame).depth_m
         yield View(image, frame.camera, depth_m, label_sky(image, depth_m), "sfnd")
-    for sequence, offset_px in OFFSETS_PX.items():
+    for sequence, offset_px in OFFSETS_PX.items() if (data / "kitti_odometry").is_dir() else ():
         drive = drives.open_drive(data / "kitti_odometry", options=DriveOptions(drive=sequence))
         prior, method = build.prepare(drive, "stereo", Stereo(offset_px=offset_px), Filters(), cache)
         build.build(drive, prior, method, Filters(), build.plan(drive, prior, method.reads, build.Selection()))
@@ -207,37 +202,3 @@ def nearest_of_cells(depth_m: Tensor) -> Tensor:
 def mean(values: Tensor, known: Tensor) -> Tensor:
     """Return the mean where known; 0 where nothing is."""
     return (values * known).sum() / known.sum().clamp_min(1)
-
-
-def export(task: MonoTask, out: Path, file: Path) -> None:
-    """Pack the best weights of a run."""
-    task.net.load_state_dict(weights.load(out / "best.safetensors").tensors)
-    weights.write(file, task.net, {"net": "bts", "size": task.config.size})
-
-
-def main() -> None:
-    """Train, or go on."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--street", type=Path, required=True)
-    parser.add_argument("--data", type=Path)
-    parser.add_argument("--minutes", type=float, default=120.0)
-    parser.add_argument("--lr", type=float, default=1e-3)
-    parser.add_argument("--batch", type=int, default=4)
-    parser.add_argument("--size", default="m")
-    parser.add_argument("--validate-every", type=int, default=1000)
-    parser.add_argument("--threads", type=int)
-    parser.add_argument("--export", type=Path)
-    given = parser.parse_args()
-    os.nice(5)
-    cv2.setNumThreads(1)
-    config = MonoConfig(given.street, given.data, given.out / "cache", batch=given.batch, size=given.size)
-    task = MonoTask(config)
-    how = TrainConfig(given.minutes, lr=given.lr, validate_every=given.validate_every, threads=given.threads)
-    print(loop.train(task, given.out, how, on_step=lambda p: print(p.step, f"{p.done:.2f}", p.values, flush=True)))
-    if given.export:
-        export(task, given.out, given.export)
-
-
-if __name__ == "__main__":
-    main()

@@ -51,8 +51,9 @@ class MonoOut:
 class Bts(nn.Module):
     """Metric depth, sky and expected error from one image and its camera."""
 
-    def __init__(self, channels: tuple[int, int, int, int] = SIZES["m"]) -> None:
+    def __init__(self, size: str = "m") -> None:
         super().__init__()
+        channels = SIZES[size]
         quarter, eighth = channels[:2]
         self.trunk = Trunk(channels, inputs=5)
         self.context = Aspp(eighth)
@@ -122,11 +123,6 @@ class Aspp(nn.Module):
         for look in self.around:
             found = torch.cat([found, look(found)], dim=1)
         return self.last(found)
-
-
-def create(size: str = "m") -> Bts:
-    """Make the network of a size (s, m or l) with fresh weights."""
-    return Bts(SIZES[size])
 
 
 def places(K: Tensor, image: Tensor) -> Tensor:
