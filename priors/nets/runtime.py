@@ -19,6 +19,8 @@ from torch import Tensor, nn
 from priors.errors import DataError
 from priors.nets import weights
 from priors.nets.blocks import channels_last, fold
+from priors.nets.fused import fuse
+from priors.nets.memory import keep_freed
 from priors.types import Image
 
 Runtime = Literal["bf16", "fp32", "cuda", "onnx"]
@@ -84,7 +86,7 @@ class Ready:
 
 
 def make_ready(net: nn.Module, runtime: Runtime, about: dict[str, Any] | None = None) -> Ready:
-    """Fold, cast and lay out a network for a runtime, in place.
+    """Fold, cast, fuse and lay out a network for a runtime, in place.
 
     cuda runs in bf16 where the device has it. onnx keeps plain fp32: priors.nets.export turns that into a graph.
     """
@@ -95,6 +97,9 @@ def make_ready(net: nn.Module, runtime: Runtime, about: dict[str, Any] | None = 
         net.to("cuda")
     if runtime != "onnx":
         channels_last(net)
+    if runtime == "bf16":
+        fuse(net)
+        keep_freed()
     return Ready(net, runtime, about or {})
 
 
