@@ -17,7 +17,7 @@ from priors.types import FloatMap, Frame, Mask, Sweep
 
 SWEEPS, SURE = 9, 0.05
 """Sweeps accumulated, and the least confidence of a value to be truth."""
-AROUND_PX, SLACK = (17, 13), 0.05
+AROUND_PX, SLACK = (17, 13), 0.03
 """Truth lies between the own sweep's nearest and farthest samples in such a window, to within a share of them."""
 LINE_RAD = np.radians(np.concatenate([np.linspace(2.0, -8.33, 32), np.linspace(-8.83, -24.8, 32)]))
 """Elevations of an HDL-64's lines."""

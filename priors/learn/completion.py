@@ -45,7 +45,7 @@ class CompletionConfig:
     """KITTI raw drive with sweeps, or a folder whose kitti_raw_train/ holds such; never what is tested on."""
     real_share: float = 0.4
     """Share of the real drive's crops in a batch."""
-    batch: int = 6
+    batch: int = 4
     """Crops in a step."""
     size: str = "m"
     """The network's size."""
@@ -220,7 +220,7 @@ def main() -> None:
     parser.add_argument("--real", type=Path)
     parser.add_argument("--minutes", type=float, default=25.0)
     parser.add_argument("--lr", type=float, default=2e-3)
-    parser.add_argument("--batch", type=int, default=6)
+    parser.add_argument("--batch", type=int, default=4)
     parser.add_argument("--size", default="m")
     parser.add_argument("--validate-every", type=int, default=300)
     parser.add_argument("--threads", type=int)
