@@ -29,7 +29,7 @@ SHARP_PX = 0.5
 """Errors below this are squared."""
 STAGE_WEIGHTS = (0.1, 0.3, 0.5)
 SPREAD_WEIGHT, DOUBT_WEIGHT = 0.3, 0.2
-SCHEDULE = (3500, 5500)
+SCHEDULE = (2500, 3300)
 """Steps from which the second and the third stage learn too: the first one is a third of the work."""
 
 
