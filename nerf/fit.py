@@ -66,7 +66,12 @@ class Status:
 
     def line(self) -> str:
         """Return a line of metrics.jsonl."""
-        numbers = {"seconds": self.elapsed_s, "psnr": self.psnr, "loss": self.loss, **self.terms}
+        numbers: dict[str, float | Tensor] = {
+            "seconds": self.elapsed_s,
+            "psnr": self.psnr,
+            "loss": self.loss,
+            **self.terms,
+        }
         rounded = {name: float(f"{float(value):.6g}") for name, value in numbers.items()}
         return json.dumps({"step": self.step, **rounded, "samples": self.samples}) + "\n"
 

@@ -1,7 +1,7 @@
 """The losses: colour, depth (four of them), distortion, opacity. Per ray and unreduced; one rule reduces them all.
 
 Reduction: a colour loss is the mean over the rays. A depth loss is the mean over the rays that have a prior, weighted
-by their confidence where they have one: sum(weight l) / sum(weight). A sparse map and a dense one therefore pull equally
+by confidence where there is one: sum(weight l) / sum(weight). A sparse map and a dense one therefore pull equally
 hard with the same --depth-weight, and an empty one gives 0. Nothing here waits for a GPU: what is reduced stays there.
 
 Depth losses, with D the rendered camera-z depth, d the prior's, w the samples' weights, U a unit of length and s the

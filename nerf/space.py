@@ -26,7 +26,7 @@ CODES: dict[str, int] = {"box": twin.BOX, "ball": twin.BALL, "spheres": twin.SPH
 NEAR_M, FAR_M = 0.5, 250.0
 """Depths in which surfaces are looked for where no prior tells, metres."""
 AROUND_PATH_M = {"box": 64.0, "ball": 16.0, "spheres": 16.0}
-"""How far around the path the region reaches where no prior tells, metres: all there is in a box, the inner one else."""
+"""How far around the path the region reaches where no prior tells, metres; outside a box is nothing."""
 LEAST_HALF_M, MOST_STRETCH = 4.0, 3.0
 """The inner region's half extents: at least this, and this many times the smallest, at most."""
 INNER_SHARE = {"box": 0.01, "ball": 0.10, "spheres": 0.10}

@@ -245,3 +245,19 @@ def test_state_goes_on_bit_for_bit() -> None:
         assert torch.equal(tensor, other.state()[name])
     with pytest.raises(ValueError, match="expected"):
         Occupancy(made, 8).load(one.state())
+
+
+def test_untrusted_values_carve_nothing() -> None:
+    # A guess near the cameras in the upper rows at a tenth of confidence, the truth below them.
+    guess = DENSE.copy()
+    guess[:, :12] = 3.0
+    weight = np.full(guess.shape, 255, np.uint8)
+    weight[:, :12] = 25
+    absent = guess.copy()
+    absent[:, :12] = 0
+    made = space("ball")
+    trusting, wary = (
+        Occupancy.carve(made, dataclasses.replace(scene(guess), weight=weight), 32, trust=x) for x in (0.0, 0.2)
+    )
+    assert torch.equal(wary.kept, Occupancy.carve(made, scene(absent), 32).kept)
+    assert not torch.equal(wary.kept, trusting.kept)

@@ -214,3 +214,13 @@ def test_trimming_drops_the_largest(share: float, count: int, seed: int) -> None
     assert int(dropped.sum()) == int(share * int(weight.sum()))
     if dropped.any() and kept.any():
         assert loss[dropped].min() >= loss[kept > 0].max()
+
+
+def test_opacity_counts_as_much_as_the_prior() -> None:
+    samples, sigma, rgb, sky, *_, rays = make([5, 5, 5])
+    drawn = render_cpu.render(samples, sigma, rgb, sky)
+    given = Rays(rays.origins_m, rays.directions, rays.rgb, torch.full((3,), 7.0), torch.tensor([1.0, 0.1, 0.0]))
+    found = losses(LossConfig(loss="none", opacity=1.0), samples, given, sigma, drawn)
+    assert found.gradients.transmittance.tolist() == pytest.approx([1 / 2, 0.1 / 2, 0])
+    blind = losses(LossConfig(loss="none", opacity=1.0, by_confidence=False), samples, given, sigma, drawn)
+    assert blind.gradients.transmittance.tolist() == pytest.approx([1 / 3] * 3)
