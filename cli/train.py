@@ -15,7 +15,7 @@ from priors.learn.config import TrainConfig
 if TYPE_CHECKING:
     from priors.learn.loop import Task
 
-USAGE = """Train the networks on your own data. Every run stops (Ctrl-C, kill) and goes on with the same command.
+EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill) and goes on with the same command.
 
   priors train samples samples/ --count 4800            synthetic pairs with exact truth; --part 1/2 for two machines
   priors train stereo runs/cfnet-s --street samples/ --net cfnet --size s --minutes 90
@@ -90,13 +90,13 @@ def run(arguments: list[str]) -> int:
         "pack": (PackArguments, pack),
     }
     if not arguments or arguments[0] in ("-h", "--help"):
-        out.print(USAGE, markup=False)
+        out.print(EXAMPLES, markup=False)
         return 0
     name, rest = arguments[0], arguments[1:]
     if name not in kinds:
         raise DataError(f"priors train {name}: expected one of {', '.join(kinds)}")
     kind, command = kinds[name]
-    command(parse(kind, f"priors train {name}", USAGE, rest))
+    command(parse(kind, f"priors train {name}", EXAMPLES, rest))
     return 0
 
 
