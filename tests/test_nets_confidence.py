@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from priors.learn.confidence import Seen, area, calibrate, ratios
+from priors.learn.confidence import CLEARLY, Seen, area, calibrate, ratios
 from priors.nets.confidence import TERMS, Calibration, evidence, falling, fit, is_hidden, miscalibration
 
 
@@ -94,7 +94,10 @@ def test_distance_helps_the_relative_error_and_the_choice_minds_both() -> None:
     seen = drawn()
     plain, far = (ratios(fit(seen.terms, seen.within, far), seen) for far in (0.0, 2.0))
     assert far[0] < plain[0]
-    assert max(ratios(calibrate(seen), seen)) <= min(max(plain), max(far))
+    made = calibrate(seen)
+    assert max(ratios(made, seen)) < CLEARLY
+    distance = made.weights[TERMS.index("distance")]
+    assert distance == 0 or max(ratios(fit(seen.terms, seen.within, distance - 0.25), seen)) >= CLEARLY
 
 
 def test_area_is_the_mean_of_the_curve() -> None:

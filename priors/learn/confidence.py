@@ -1,15 +1,17 @@
 """Calibrate a stereo network's confidence on pairs that it was not trained on.
 
-    python -m priors.learn.confidence priors/weights/cfnet-m.safetensors --street samples/
+    python -m priors.learn.confidence priors/weights/cfnet-m.safetensors --street samples/ --real DATA
 
-Runs the network on varied crops of the street's validation worlds, fits the score and the table of nets/confidence.py
-on every second item, prints how well they hold on the others, and writes them into the header of the weights.
+Runs the network on varied crops of what training held back (street worlds, and labelled odometry frames where there are
+any), fits the score and the table of nets/confidence.py on every second frame, prints how well they hold on the others,
+and writes them into the header of the weights.
 
-How much distance counts (see nets/confidence.fit) is chosen so that the worse of two ratios is best on the fitted half:
-the area under the sparsification curve against that of dropping the farthest first, in relative error and in D1.
+How much distance counts (see nets/confidence.fit) is the least that makes the area under the sparsification curve
+clearly smaller than that of dropping the farthest first, in relative error and in D1, on the fitted half: the more it
+counts, the more the probabilities depend on how far away things are in the data at hand.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,8 +20,9 @@ import numpy.typing as npt
 import torch
 from tyro.conf import Positional
 
-from priors.learn.pair import Item, from_street, to_item
-from priors.learn.scans import Streets
+from priors.learn import pseudo
+from priors.learn.data import find
+from priors.learn.pair import Item, Pair, from_street, to_item
 from priors.learn.vary import vary
 from priors.nets import runtime, weights
 from priors.nets.confidence import TERMS, Calibration, evidence, fit, miscalibration
@@ -32,6 +35,8 @@ PER_ITEM = 6000
 CROP = (256, 512)
 FAR = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Weights of distance that are tried."""
+CLEARLY = 0.9
+"""Ratio of areas."""
 Flat = npt.NDArray[np.float64]
 
 
@@ -52,12 +57,11 @@ class Seen:
         return np.abs(self.disparity_px - self.truth_px) <= 1
 
 
-def validation_items(street: Path, count: int, seed: int = 0) -> list[Item]:
-    """Return varied crops of worlds that training never draws from."""
-    paths = Streets(street).validation
+def crops(paths: Sequence[Path], read: Callable[[Path], Pair], count: int, seed: int = 0) -> list[Item]:
+    """Return varied crops of pairs, evenly spread over the files."""
     rng = np.random.default_rng(seed)
-    chosen = paths[:: max(1, len(paths) // count)][:count]
-    return [to_item(vary(from_street(path), rng, CROP)) for path in chosen]
+    chosen = [paths[index] for index in np.linspace(0, len(paths) - 1, count).round().astype(int)] if paths else []
+    return [to_item(vary(read(path), rng, CROP)) for path in chosen]
 
 
 def look(ready: Ready, items: Sequence[Item], seed: int = 0) -> Seen:
@@ -77,9 +81,21 @@ def look(ready: Ready, items: Sequence[Item], seed: int = 0) -> Seen:
     return Seen(terms, np.maximum(found_px, np.float32(1e-3)), true_px)
 
 
+def join(parts: Iterable[Seen]) -> Seen:
+    """Return the pixels of all parts."""
+    columns = zip(*((part.terms, part.disparity_px, part.truth_px) for part in parts), strict=True)
+    return Seen(*(np.concatenate(column, axis=-1) for column in columns))
+
+
 def calibrate(seen: Seen) -> Calibration:
-    """Fit a calibration whose order of the pixels is good for both relative error and D1."""
-    return min((fit(seen.terms, seen.within, far) for far in FAR), key=lambda made: max(ratios(made, seen)))
+    """Fit a calibration whose order of the pixels beats farthest first in both relative error and D1.
+
+    With the least weight of distance that does it clearly, or else the one that comes nearest to it.
+    """
+    tried = [fit(seen.terms, seen.within, far) for far in FAR]
+    worse = [max(ratios(made, seen)) for made in tried]
+    clear = [made for made, ratio in zip(tried, worse, strict=True) if ratio < CLEARLY]
+    return clear[0] if clear else tried[int(np.argmin(worse))]
 
 
 def ratios(calibration: Calibration, seen: Seen) -> tuple[float, float]:
@@ -114,21 +130,33 @@ def report(name: str, calibration: Calibration, seen: Seen) -> str:
     )
 
 
-def run(file: Positional[Path], street: Path, count: int = 120) -> None:
+def run(
+    file: Positional[Path], street: Path, real: Path | None = None, teacher: Path | None = None, count: int = 60
+) -> None:
     """Calibrate a file of weights.
 
     Args:
         file: the weights; their header is rewritten.
-        street: folder of rendered samples (`priors train render`).
-        count: crops to look at.
+        street: folder of rendered samples (`priors train samples`).
+        real: folder with kitti_odometry; what was prepared of it for training is used again.
+        teacher: folder of a teacher's maps, if training had one.
+        count: crops of each source in each half.
     """
     about = weights.read_about(file)
     ready = runtime.open_net(about["net"], about["size"], runtime.choose("auto"), file)
-    items = validation_items(street, count)
-    seen = [look(ready, items[start::2], seed=start) for start in (0, 1)]
-    made = calibrate(seen[0])
-    print(report("as trained, the other half", Calibration.trusting(), seen[1]))
-    print(report("calibrated, the other half", made, seen[1]))
+    _, held = find(street, real, teacher=teacher)
+    frames = [path for path in held.odometry if not path.stem.endswith("_right")]
+    halves = []
+    for start in (0, 1):
+        parts = {
+            "street": crops(held.street[start::2], from_street, count, start),
+            "odometry": crops(frames[start::2], pseudo.read, count, start),
+        }
+        halves.append({name: look(ready, items, start) for name, items in parts.items() if items})
+    made = calibrate(join(halves[0].values()))
+    for name, seen in halves[1].items():
+        print(report(f"{name}, as trained", Calibration.trusting(), seen))
+        print(report(f"{name}, calibrated", made, seen))
     print("weights: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(TERMS, made.weights, strict=True)))
     weights.rewrite_about(file, calibration=made.record())
 
