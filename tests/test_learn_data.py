@@ -1,6 +1,7 @@
 """Training pairs: their truth stays the truth, whatever is done to them."""
 
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -258,7 +259,7 @@ def test_items_are_what_networks_want(tmp_path: Path) -> None:
     items = [draw(np.random.default_rng(step)) for step in range(6)]
     for item in items:
         assert item["left"].shape == (3, 48, 96) and item["left"].dtype == np.float32
-        assert 0 <= item["left"].min() and item["left"].max() <= 1
+        assert item["left"].min() >= 0 and item["left"].max() <= 1
         assert (item["disparity_px"][~item["known"]] == 0).all() and (item["weight"][~item["known"]] == 0).all()
         assert (item["disparity_px"][item["sky"]] == 0).all() and item["known"][item["sky"]].all()
     batch = data.collate(items)
@@ -289,7 +290,7 @@ def real_like() -> tuple[Pair, np.ndarray]:
     rng = np.random.default_rng(2)
     size = (160, 320)
     image = cv2.GaussianBlur(rng.integers(0, 255, size, dtype=np.uint8), (0, 0), 1.2)
-    y, x = np.mgrid[: size[0], : size[1]].astype(np.float32)
+    y = np.mgrid[: size[0], : size[1]].astype(np.float32)[0]
     scene = warp.Scene(cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX), 12 + 0.1 * y, np.zeros(size, bool))
     pair = warp.warp(scene, np.zeros(size, np.uint8))
     return pair, pseudo.match(pair.left, pair.right)
@@ -297,7 +298,7 @@ def real_like() -> tuple[Pair, np.ndarray]:
 
 def test_labels_are_right_and_a_teachers_offset_is_taken_off() -> None:
     pair, matched_px = real_like()
-    y, x = np.mgrid[:160, :320]
+    x = np.arange(320)
     teacher_px = pair.disparity_px + (0.4 + 1.0 * (2 * x / 320 - 1) ** 2).astype(np.float32)
     alone = pseudo.label(pair.left, pair.right, matched_px)
     taught = pseudo.label(pair.left, pair.right, matched_px, teacher_px)
@@ -369,6 +370,6 @@ def test_a_peer_teaches_in_each_eyes_own_pixels(tmp_path: Path) -> None:
 
 
 def test_right_eyes_see_the_mirrored_pair(real_data: RealData) -> None:
-    first, second = (view for view, _ in zip(pseudo.read_views(real_data("kitti_odometry", "sequences", "06")), "ab"))
+    first, second = islice(pseudo.read_views(real_data("kitti_odometry", "sequences", "06")), 2)
     assert (first.name, second.name) == ("06_000000", "06_000000_right")
     assert np.array_equal(second.left, first.right[:, ::-1]) and np.array_equal(second.right, first.left[:, ::-1])

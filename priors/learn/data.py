@@ -3,11 +3,11 @@
     draw = mixture(street, real=Path("../shared/data"), cache=Path("cache"))
     item = draw(np.random.default_rng([seed, step]))        # see pair.to_item
 
-Held back from training: every tenth world of the street, every tenth frame of the real drives.
+Held back from training: every tenth world of the street, the real drives' frames 0, 10, 20 ...
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +25,8 @@ SHARES = {"street": 0.55, "warped": 0.25, "odometry": 0.2}
 LEAST_KNOWN = 0.1
 """Share of a crop that must be known; what has less is drawn again."""
 ATTEMPTS = 5
+CRISP, BLACK = 1.3, -4.0
+"""Rendered streets have less contrast and paler blacks than KITTI's and CamVid's images: looks.Range."""
 HELD_BACK_EVERY = 10
 FOLLOWED = 0.5
 """Of the warped ones, the share of KITTI's own images; the rest is CamVid."""
@@ -85,12 +87,14 @@ def mixture(
     train, _ = find(street, real, cache, teacher)
     present = {"street": train.street, "warped": [*train.kitti, *train.camvid], "odometry": train.odometry}
     wanted = {name: share for name, share in (shares or SHARES).items() if present[name]}
+    rendered = replace(variation, look=replace(variation.look, crisp=CRISP, black=BLACK))
     names, share = list(wanted), np.array(list(wanted.values()))
 
     def draw(rng: np.random.Generator) -> Item:
         source = names[rng.choice(len(names), p=share / share.sum())]
         for _ in range(ATTEMPTS):
-            item = to_item(vary(_draw(train, source, rng, crop), rng, crop, variation))
+            how = rendered if source == "street" else variation
+            item = to_item(vary(_draw(train, source, rng, crop), rng, crop, how))
             if item["known"].mean() >= LEAST_KNOWN:
                 break
         return item
@@ -125,7 +129,7 @@ def validation(
     slow = _spread([path for path in held.kitti if path.stem.startswith("slow")], warped)
     for number, path in enumerate(slow):
         scene = warp.read(path)
-        filler = warp.read(slow[number - 1]).image[::-1]
+        filler = warp.read_image(slow[number - 1])[::-1]
         pair = warp.warp(scene, np.ascontiguousarray(filler))
         items.append(to_item(crop_whole(pair)))
     return items
@@ -158,8 +162,8 @@ def _draw(sources: Sources, source: str, rng: np.random.Generator, crop: tuple[i
         return pseudo.read(_choose(sources.odometry, rng))
     groups = [group for group in (sources.kitti, sources.camvid) if group]
     group = groups[0] if rng.random() < FOLLOWED else groups[-1]
-    scene, other = (warp.read(_choose(paths, rng)) for paths in (group, groups[-1]))
-    return warp.draw(scene, other.image, rng, crop)
+    scene, filler = warp.read(_choose(group, rng)), warp.read_image(_choose(groups[-1], rng))
+    return warp.draw(scene, filler, rng, crop)
 
 
 def _choose(paths: Sequence[Path], rng: np.random.Generator) -> Path:
@@ -167,10 +171,9 @@ def _choose(paths: Sequence[Path], rng: np.random.Generator) -> Path:
 
 
 def _part(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Part files into those to train on and every tenth frame, with both its views."""
-    frames = sorted({path.stem.removesuffix("_right") for path in paths})
-    held = set(frames[::HELD_BACK_EVERY])
-    out = [path.stem.removesuffix("_right") in held for path in paths]
+    """Part files into those to train on and those whose frame number is a multiple of ten, with both their views."""
+    numbers = [int(path.stem.removesuffix("_right").rpartition("_")[2]) for path in paths]
+    out = [number % HELD_BACK_EVERY == 0 for number in numbers]
     first = [path for path, is_out in zip(paths, out, strict=True) if not is_out]
     return first, [path for path, is_out in zip(paths, out, strict=True) if is_out]
 

@@ -12,6 +12,9 @@ import numpy.typing as npt
 
 from priors.types import FloatMap, Image
 
+MIDDLE = 0.25
+"""The level, of 1, that contrast does not change: the median of street images."""
+
 
 @dataclass(frozen=True)
 class Range:
@@ -24,6 +27,10 @@ class Range:
     exposure: float = 0.25
     gamma: float = 0.12
     contrast: float = 0.12
+    crisp: float = 1.0
+    """What the contrast is multiplied by on average."""
+    black: float = 0.0
+    """What is added on average, grey levels."""
     colour: float = 0.06
     extreme: float = 0.07
     """Probability of a picture that is far too bright or far too dark."""
@@ -69,6 +76,7 @@ def draw(rng: np.random.Generator, range_: Range, colour: bool) -> tuple[Look, L
     """Draw the looks of the left and the right view."""
     spread = np.array([range_.exposure, range_.gamma, range_.contrast, *([range_.colour] * 3)])
     shared = rng.normal(0, spread)
+    shared[2] += np.log(range_.crisp)
     if rng.random() < range_.extreme:
         shared[0] = rng.uniform(0.5, 1.1) if rng.random() < 0.5 else rng.uniform(-2.2, -1.0)
     apart = 0.5 if rng.random() < range_.differs else 0.1
@@ -80,7 +88,7 @@ def draw(rng: np.random.Generator, range_: Range, colour: bool) -> tuple[Look, L
     quality = int(rng.integers(35, 96)) if rng.random() < range_.compressed else 0
     found = [
         Look(
-            tone(shared + rng.normal(0, apart * spread), rng.normal(0, 3.0), colour),
+            tone(shared + rng.normal(0, apart * spread), rng.normal(range_.black, 3.0), colour),
             float(blur_px[side]),
             float(shade * rng.uniform(0.8, 1.2)),
             float(noise[side]),
@@ -96,7 +104,7 @@ def tone(logs: npt.NDArray[np.float64], black: float, colour: bool) -> npt.NDArr
     """Return the table of levels for logarithms of exposure, gamma, contrast, red, green, blue; black in levels."""
     gains = np.exp(logs[0] + (logs[3:] if colour else 0 * logs[3:4]))
     level = (np.arange(256) / 255)[:, None] ** np.exp(logs[1]) * gains
-    level = (level - 0.4) * np.exp(logs[2]) + 0.4
+    level = (level - MIDDLE) * np.exp(logs[2]) + MIDDLE
     table = np.clip(np.rint(255 * level + black), 0, 255).astype(np.uint8)
     return table[:, None] if colour else table[:, 0]
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ from priors.learn import sample as samples
 from priors.types import Camera, FloatMap, Image, Mask
 
 Item = dict[str, Any]
+T = TypeVar("T", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,9 +72,14 @@ def mirror(pair: Pair, right_px: FloatMap, right_known: Mask, right_sky: Mask) -
     Returns:
         The mirrored pair, without camera and points.
     """
-    turned = [np.ascontiguousarray(a[:, ::-1]) for a in (pair.right, pair.left, right_px, right_known, right_sky)]
-    weight = turned[3].astype(np.float32)
-    return Pair(turned[0], turned[1], turned[2] * weight, turned[3], turned[4], weight, pair.source)
+    known, sky = flip(right_known), flip(right_sky)
+    weight = known.astype(np.float32)
+    return Pair(flip(pair.right), flip(pair.left), flip(right_px) * weight, known, sky, weight, pair.source)
+
+
+def flip(map_: npt.NDArray[T]) -> npt.NDArray[T]:
+    """Mirror an image or a map (h, w, ...)."""
+    return np.ascontiguousarray(map_[:, ::-1])
 
 
 def crop(pair: Pair, top: int, left: int, size: tuple[int, int]) -> Pair:

@@ -204,7 +204,7 @@ def same(grey: Image, other: Image, disparity_px: FloatMap) -> Mask:
 
 def write(path: Path, pair: Pair, matched_px: FloatMap) -> None:
     """Write a labelled pair, and what was matched, to one .npz file, atomically."""
-    maps = {
+    maps: dict[str, np.ndarray] = {
         "matched": np.rint(matched_px * PER_PX).astype(np.uint16),
         "left": pair.left,
         "right": pair.right,

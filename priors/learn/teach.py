@@ -9,6 +9,7 @@ are there already are kept, so that a stopped run goes on.
 
 import importlib.util
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -56,7 +57,7 @@ def main() -> None:
             for number, view in enumerate(view for view in read_views(sequence) if view.side == side):
                 path = teach.out / f"{view.name}.npy"
                 if number % teach.every == 0 and not path.exists():
-                    codecs.write_atomically(path, lambda target, view=view: _save(target, predict(net, view)))
+                    codecs.write_atomically(path, partial(_save, predict(net, view)))
                     print(path, flush=True)
 
 
@@ -93,7 +94,7 @@ def _tensor(image: Image) -> torch.Tensor:
     return torch.from_numpy(np.pad(values, pad).transpose(2, 0, 1).copy())[None]
 
 
-def _save(target: Path, map_: FloatMap) -> None:
+def _save(map_: FloatMap, target: Path) -> None:
     with target.open("wb") as file:
         np.save(file, map_)
 

@@ -12,13 +12,13 @@ import cv2
 import numpy as np
 
 from priors import codecs
-from priors.learn.pair import Pair, mirror
+from priors.learn.pair import Pair, flip, mirror
 from priors.types import FloatMap, Image, Mask
 
 STEP_PX = 0.8
 """Neighbours whose disparities differ by more are of different surfaces."""
 PER_PX = 256
-ROOM = 1.3, 128
+ROOM = 1.15, 96
 """The part of an image that is warped: so many times the crop's size, and so much wider for what moves out of it."""
 SCALES = 0.5, 1.7
 """Disparities are multiplied by something between these."""
@@ -44,7 +44,7 @@ def draw(scene: Scene, filler: Image, rng: np.random.Generator, crop: tuple[int,
     """Make a pair of part of a scene: larger than the crop that will be cut out of it."""
     scene = _window(scene, rng, crop)
     if rng.random() < 0.5:
-        scene = Scene(*(np.ascontiguousarray(a[:, ::-1]) for a in (scene.image, scene.disparity_px, scene.sky)))
+        scene = Scene(flip(scene.image), flip(scene.disparity_px), flip(scene.sky))
     return warp(replace(scene, disparity_px=change(scene.disparity_px, rng)), filler, swap=rng.random() < 0.5)
 
 
@@ -110,7 +110,7 @@ def fill_nearest(values: FloatMap, valid: Mask) -> FloatMap:
 
 def write(path: Path, scene: Scene) -> None:
     """Write a scene to one .npz file, atomically."""
-    maps = {
+    maps: dict[str, np.ndarray] = {
         "image": scene.image,
         "disparity": np.minimum(np.rint(scene.disparity_px * PER_PX), 65535).astype(np.uint16),
         "sky": scene.sky,
@@ -127,6 +127,12 @@ def read(path: Path) -> Scene:
     """Read a scene."""
     with np.load(path) as file:
         return Scene(file["image"], (file["disparity"] / np.float32(PER_PX)).astype(np.float32), file["sky"])
+
+
+def read_image(path: Path) -> Image:
+    """Read a scene's image only."""
+    with np.load(path) as file:
+        return np.asarray(file["image"])
 
 
 def _window(scene: Scene, rng: np.random.Generator, crop: tuple[int, int]) -> Scene:
