@@ -144,8 +144,11 @@ def read_real(data: Path, cache: Path) -> Iterator[View]:
         build.build(drive, prior, method, Filters(), build.plan(drive, prior, method.reads, build.Selection()))
         for index, id_ in enumerate(drive.ids):
             frame = drive[index]
-            image, depth_m = frame.image(), trusted(prior.read(id_))
-            yield View(image, frame.camera, depth_m, label_sky(image, depth_m), sequence)
+            image, depth = frame.image(), prior.read(id_)
+            depth_m = trusted(depth, image)
+            sky = label_sky(image, depth_m)
+            sky[(trusted(depth) > 0) & (depth_m == 0)] = UNKNOWN  # matched sky, or a bright wall taken for sky
+            yield View(image, frame.camera, depth_m, sky, sequence)
 
 
 def predict(net: nn.Module, view: View) -> bts.MonoOut:

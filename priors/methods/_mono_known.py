@@ -8,7 +8,7 @@ import numpy as np
 from priors.errors import DataError
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
-from priors.types import Depth, FloatMap, Frame
+from priors.types import Depth, FloatMap, Frame, Image
 
 Source = Literal["lidar", "sparse", "stereo"]
 READS: dict[str, tuple[str, ...]] = {"lidar": ("sweep",), "sparse": ("sparse",), "stereo": ("other",)}
@@ -49,17 +49,23 @@ class Known:
         elif self.source == "sparse":
             depth_m = frame.sparse().depth_m
         else:
-            depth_m = trusted(self.stereo(frame))
+            depth_m = trusted(self.stereo(frame), frame.image())
         return np.where(depth_m < LARGEST_M, depth_m, np.float32(0))
 
 
-def trusted(depth: Depth, largest: float = TRUSTED) -> FloatMap:
+def trusted(depth: Depth, image: Image | None = None, largest: float = TRUSTED) -> FloatMap:
     """Return the classical stereo depth (height, width) whose expected relative error is small, 0 elsewhere.
+
+    Even sky is sometimes matched, as something near: what looks like sky in the image, if given, is left out.
 
     The confidence is the probability of an error below 1 m, for Laplace-distributed errors: that tells their mean.
     """
+    from priors.sky import sky_mask
+
     assert depth.confidence is not None
     chance = np.minimum(depth.confidence, np.float32(0.9999))
     error_m = 1 / np.maximum(-np.log1p(-chance), np.float32(1e-6))
     known = (depth.depth_m > 0) & (error_m < largest * depth.depth_m) & (depth.depth_m < LARGEST_M)
+    if image is not None:
+        known &= ~sky_mask(image)
     return np.where(known, depth.depth_m, np.float32(0))
