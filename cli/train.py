@@ -24,7 +24,7 @@ EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill
   priors train mono runs/bts --street samples/
   priors train pack runs/cfnet-s cfnet-s.safetensors    what `--stereo.weights` takes
 
-priors train WHAT --help tells the rest"""
+--help after any of these tells the rest"""
 
 
 @dataclass(frozen=True)

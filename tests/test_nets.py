@@ -10,6 +10,7 @@ from torch import Tensor, nn
 from priors.nets import matching, volume
 from priors.nets.blocks import Residual, channels_last, conv, fold
 from priors.nets.cfnet import Cfnet, Range
+from priors.nets.fused import available, fuse
 from priors.nets.pcwnet import Pcwnet
 from priors.nets.trunk import Trunk, pad
 from priors.nets.upsample import convex
@@ -143,6 +144,19 @@ def test_folding_changes_nothing() -> None:
     before = net(image)
     assert not any(isinstance(m, nn.BatchNorm2d) for m in fold(net).modules())
     torch.testing.assert_close(channels_last(net)(image), before, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("network", NETWORKS)
+def test_fusing_changes_nothing_but_rounding(network: type[nn.Module]) -> None:
+    torch.manual_seed(0)
+    net = channels_last(fold(network("s").eval()))
+    pair = torch.rand(2, 1, 3, 64, 96)
+    with torch.inference_mode():
+        before = net(*pair, 64)
+        fused = fuse(net)
+        assert not any(isinstance(m, Residual) for m in fused.modules()) or not available()
+        after = fused(*pair, 64)
+    torch.testing.assert_close(after.disparity_px, before.disparity_px, atol=2e-3, rtol=1e-3)
 
 
 def test_the_trunk_gives_four_scales() -> None:

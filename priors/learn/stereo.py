@@ -103,7 +103,7 @@ class StereoTask:
             disparity, doubt = predict(net, item)
             left = (item["left"].transpose(1, 2, 0) * 255).astype(np.uint8)
             sure = cv2.cvtColor((255 / (1 + np.exp(doubt))).astype(np.uint8), cv2.COLOR_GRAY2RGB)
-            coloured = colour_depth(400 / np.maximum(disparity, 0.5), 4.0, 100.0)
+            coloured = colour_depth((400 / np.maximum(disparity, 0.5)).astype(np.float32), 4.0, 100.0)
             truth_m = np.where(item["known"], 400 / np.maximum(item["disparity_px"], 0.5), 0).astype(np.float32)
             truth = colour_depth(truth_m, 4.0, 100.0)
             shown[item["source"]] = np.concatenate([left, truth, coloured, sure])

@@ -16,7 +16,7 @@ Net = TypeVar("Net", bound=nn.Module)
 
 
 def fuse(net: Net) -> Net:
-    """Replace folded Conv2d + ReLU pairs and Residual blocks, in place; `blocks.fold` and the dtype come before.
+    """Replace folded convolution + ReLU pairs (2D and 3D) and Residual blocks, in place; `blocks.fold` and the dtype come before.
 
     The result computes the same up to the rounding of what is no longer rounded in between; it cannot be trained,
     moved or exported.
@@ -46,7 +46,7 @@ def available() -> bool:
 class FusedConv(nn.Module):
     """ReLU of a convolution (of a convolution plus a given map), weights laid out for this machine once."""
 
-    def __init__(self, conv: nn.Conv2d) -> None:
+    def __init__(self, conv: nn.Conv2d | nn.Conv3d) -> None:
         super().__init__()
         self.padding, self.stride, self.dilation = (
             list(map(int, p)) for p in (conv.padding, conv.stride, conv.dilation)
@@ -58,7 +58,7 @@ class FusedConv(nn.Module):
         self.bias = None if conv.bias is None else conv.bias.detach()
 
     def forward(self, x: Tensor, plus: Tensor | None = None) -> Tensor:
-        """Return relu(conv(x) + plus), (b, channels, h, w)."""
+        """Return relu(conv(x) + plus), (b, channels, ...)."""
         shape = self.padding, self.stride, self.dilation, 1
         if plus is None:
             return torch.ops.mkldnn._convolution_pointwise(x, self.weight, self.bias, *shape, "relu", [], "")
@@ -80,10 +80,10 @@ class FusedResidual(nn.Module):
 
 def _is_pair(sequence: nn.Sequential) -> bool:
     kinds = [type(layer) for layer in sequence if not isinstance(layer, nn.Identity)]
-    return kinds == [nn.Conv2d, nn.ReLU]
+    return kinds in ([nn.Conv2d, nn.ReLU], [nn.Conv3d, nn.ReLU])
 
 
-def _conv_of(sequence: nn.Sequential) -> nn.Conv2d:
+def _conv_of(sequence: nn.Sequential) -> nn.Conv2d | nn.Conv3d:
     first = sequence[0]
-    assert isinstance(first, nn.Conv2d)
+    assert isinstance(first, nn.Conv2d | nn.Conv3d)
     return first

@@ -46,4 +46,4 @@ def _on_cpu(values: Tensor, weights: Tensor, factor: int) -> Tensor:
 
 def is_traced() -> bool:
     """Tell whether torch is writing down the network for export: then only plain torch will do."""
-    return bool(torch.onnx.is_in_onnx_export() or torch.compiler.is_compiling() or torch.jit.is_tracing())
+    return bool(torch.onnx.is_in_onnx_export() or torch.compiler.is_compiling())
