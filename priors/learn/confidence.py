@@ -7,8 +7,8 @@ any), fits the score and the table of nets/confidence.py on every second frame, 
 and writes them into the header of the weights.
 
 How much distance counts (see nets/confidence.fit) is the least that makes the area under the sparsification curve
-clearly smaller than that of dropping the farthest first, in relative error and in D1, on the fitted half: the more it
-counts, the more the probabilities depend on how far away things are in the data at hand.
+clearly smaller than that of dropping the farthest first, in relative error and in D1, on each source's fitted half: the
+more it counts, the more the probabilities depend on how far away things are in the data at hand.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -87,15 +87,16 @@ def join(parts: Iterable[Seen]) -> Seen:
     return Seen(*(np.concatenate(column, axis=-1) for column in columns))
 
 
-def calibrate(seen: Seen) -> Calibration:
-    """Fit a calibration whose order of the pixels beats farthest first in both relative error and D1.
+def calibrate(parts: Sequence[Seen]) -> Calibration:
+    """Fit a calibration to all parts whose order of the pixels beats farthest first in each, in both errors.
 
     With the least weight of distance that does it clearly, or else the one that comes nearest to it.
     """
+    seen = join(parts)
     tried = [fit(seen.terms, seen.within, far) for far in FAR]
-    worse = [max(ratios(made, seen)) for made in tried]
-    clear = [made for made, ratio in zip(tried, worse, strict=True) if ratio < CLEARLY]
-    return clear[0] if clear else tried[int(np.argmin(worse))]
+    worst = [max(max(ratios(made, part)) for part in parts) for made in tried]
+    clear = [made for made, ratio in zip(tried, worst, strict=True) if ratio < CLEARLY]
+    return clear[0] if clear else tried[int(np.argmin(worst))]
 
 
 def ratios(calibration: Calibration, seen: Seen) -> tuple[float, float]:
@@ -153,7 +154,7 @@ def run(
             "odometry": crops(frames[start::2], pseudo.read, count, start),
         }
         halves.append({name: look(ready, items, start) for name, items in parts.items() if items})
-    made = calibrate(join(halves[0].values()))
+    made = calibrate(list(halves[0].values()))
     for name, seen in halves[1].items():
         print(report(f"{name}, as trained", Calibration.trusting(), seen))
         print(report(f"{name}, calibrated", made, seen))
