@@ -1,8 +1,6 @@
 """What a field leaves to other programs: a coloured point cloud, and a mesh through open3d."""
 
-import os
-import uuid
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy.typing as npt
 
 from eval.image import as_uint8
 from nerf.pictures import OPAQUE, Render, RenderedView
+from priors import codecs
 from priors.errors import DataError
 from priors.geometry import invert, rays
 from priors.types import Camera, Depth, FloatMap, Matrix
@@ -20,7 +19,6 @@ from priors.types import Camera, Depth, FloatMap, Matrix
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 )  # fmt: skip
-HEADER_BYTES = 320  # filled up, since the number of points is known last
 MESHES = (".ply", ".obj", ".glb")
 BLOCK_VOXELS, FIRST_BLOCKS, TRUNCATION_VOXELS = 16, 10_000, 4.0
 Points: TypeAlias = npt.NDArray[np.void]
@@ -66,7 +64,8 @@ def write_cloud(
         chosen = nearest(cells_of(points, config.voxel_m), found_m)
         kept, depth_m = points[chosen], found_m[chosen]
         on_view()
-    return write_ply(path, [kept])
+    write_ply(path, kept)
+    return len(kept)
 
 
 def view_points(
@@ -99,34 +98,13 @@ def cells_of(points: Points, voxel_m: float) -> npt.NDArray[np.int64]:
     return number
 
 
-def write_ply(path: Path, parts: Iterable[Points]) -> int:
-    """Write points, (n,) POINT at a time, as binary little-endian PLY, atomically; returns how many."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(_header(0))
-            count = 0
-            for part in parts:
-                file.write(part.tobytes())
-                count += len(part)
-            file.seek(0)
-            file.write(_header(count))
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    return count
-
-
-def _header(count: int) -> bytes:
-    """Make a header that is as long for every count."""
+def write_ply(path: Path, points: Points) -> None:
+    """Write points (n,) POINT as binary little-endian PLY, atomically."""
     kinds = {"<f4": "float", "|u1": "uchar"}
-    assert POINT.names is not None
-    properties = [f"property {kinds[POINT[name].str]} {name}" for name in POINT.names]
+    properties = [f"property {kinds[POINT[name].str]} {name}" for name in POINT.names or ()]
     lines = ["ply", "format binary_little_endian 1.0", "comment metres, in the drive's world frame"]
-    lines += [f"element vertex {count}", *properties, "end_header"]
-    text = "\n".join([*lines[:2], "comment ", *lines[2:]]) + "\n"
-    return text.replace("comment \n", f"comment {'-' * (HEADER_BYTES - len(text))}\n", 1).encode()
+    lines += [f"element vertex {len(points)}", *properties, "end_header"]
+    codecs.write_bytes(path, "".join(f"{line}\n" for line in lines).encode() + points.tobytes())
 
 
 def write_mesh(

@@ -11,7 +11,7 @@ Prepared once a drive and once a prior, then shared by every run on them:
 import hashlib
 import json
 from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,13 +124,15 @@ def open_scene(
     ids = [drive.ids[position] for position in positions]
     train, test = split(len(ids), views)
     home = folder / f"{drive.name}-{_digest(drive.fingerprint(), *ids)}"
+    maps = {} if prior is None else _maps(prior, drive, ids)
     record = _prepare_images(drive, positions, home, progress)
     camera = Camera(np.array(record["K"]), tuple(record["size"]))
     depth_m, weight = None, None
     if prior is not None:
-        depth_m, weight = _prepare_prior(prior, drive, positions, filters or Filters(), home, progress)
-    if prior is not None and depth_m is not None and not any((depth_m[position] > 0).any() for position in train):
-        raise DataError(f"{prior.folder}: no value in any of the {len(train)} training frames: build or filter it anew")
+        depth_m, weight = _prepare_prior(prior, drive, positions, maps, filters or Filters(), home, progress)
+        if not any((depth_m[position] > 0).any() for position in train):
+            found = f"no value in any of the {len(train)} training frames"
+            raise DataError(f"{prior.folder}: {found}: build or filter it anew")
     poses, images = np.array(record["T_world_cam"]), Stack(home / "images.npy")
     return Scene(drive.name, ids, camera, poses, images, depth_m, weight, train, test)
 
@@ -174,19 +176,38 @@ def _poses(drive: Drive, positions: list[int]) -> npt.NDArray[np.float64]:
     return stacked
 
 
-def _prepare_prior(
-    prior: Prior, drive: Drive, positions: list[int], filters: Filters, home: Path, progress: Progress
-) -> tuple[Stack, Stack | None]:
-    """Copy a prior's filtered maps into one array each, joined by frame id."""
+def _maps(prior: Prior, drive: Drive, ids: list[str]) -> dict[str, str]:
+    """Return what tells apart the maps of the frames that have one, by frame id.
+
+    Raises:
+        DataError: no frame has a map, or the prior is of another drive.
+    """
     made_for = prior.manifest.get("fingerprint")
     if made_for is not None and made_for != drive.fingerprint():
         raise DataError(f"{prior.folder}: made for {prior.drive.get('path')}, not for this {drive.name}: build it anew")
-    common = [drive.ids[i] for i in positions if prior.depth_path(drive.ids[i]).exists()]
-    if not common:
-        raise DataError(f"{prior.folder}: none of the {len(positions)} frames has a map: build the prior for them")
-    place = home / f"{prior.name}-{_digest(json.dumps(filters.record()), *common)}"
+    maps = {}
+    for id_ in ids:
+        with suppress(FileNotFoundError):
+            found = prior.depth_path(id_).stat()
+            maps[id_] = f"{id_}:{found.st_size}:{found.st_mtime_ns}"
+    if not maps:
+        raise DataError(f"{prior.folder}: none of the {len(ids)} frames has a map: build the prior for them")
+    return maps
+
+
+def _prepare_prior(
+    prior: Prior,
+    drive: Drive,
+    positions: list[int],
+    maps: dict[str, str],
+    filters: Filters,
+    home: Path,
+    progress: Progress,
+) -> tuple[Stack, Stack | None]:
+    """Copy a prior's filtered maps into one file each, joined by frame id."""
+    place = home / f"{prior.name}-{_digest(json.dumps(filters.record()), *maps.values())}"
     if not (place / "depth.npy").exists():
-        _copy_maps(prior, drive, positions, set(common), filters, place, progress)
+        _copy_maps(prior, drive, positions, set(maps), filters, place, progress)
     weight = place / "weight.npy"
     return Stack(place / "depth.npy"), Stack(weight) if weight.exists() else None
 

@@ -93,6 +93,7 @@ def write_pictures(path: Path, pictures: Iterator[Image], fps: float) -> None:
     temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.mp4")
     writer = None
     try:
+        count = 0
         for rgb in pictures:
             if writer is None:
                 code = cv2.VideoWriter.fourcc(*"mp4v")
@@ -100,9 +101,12 @@ def write_pictures(path: Path, pictures: Iterator[Image], fps: float) -> None:
                 if not writer.isOpened():
                     raise DataError(f"{path}: this OpenCV cannot write MP4: install opencv-contrib-python-headless")
             writer.write(np.ascontiguousarray(rgb[..., ::-1]))
+            count += 1
         if writer is None:
             raise DataError(f"{path}: no pictures to write")
         writer.release()
+        if cv2.VideoCapture(str(temporary)).get(cv2.CAP_PROP_FRAME_COUNT) != count:  # OpenCV tells no write errors
+            raise DataError(f"{path}: the video was not written whole: is the disk full?")
         temporary.replace(path)
     finally:
         if writer is not None:

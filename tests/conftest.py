@@ -1,6 +1,8 @@
 """What the tests share: the real data beside the checkout, and tiny drives written into a temporary folder."""
 
-from collections.abc import Callable
+import resource
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 
 import pytest
@@ -54,3 +56,23 @@ def stereo_log(tmp_path: Path) -> Path:
 def image_folder(tmp_path: Path) -> Path:
     """A tiny folder of images with calib.json (factories.write_folder)."""
     return write_folder(tmp_path / "mine")
+
+
+FullDisk = Callable[[int], AbstractContextManager[None]]
+"""The full_disk fixture's type."""
+
+
+@pytest.fixture
+def full_disk() -> FullDisk:
+    """with full_disk(100_000): files cannot grow beyond that many bytes, and writing more fails as on a full disk."""
+
+    @contextmanager
+    def full(size: int) -> Iterator[None]:
+        before = resource.getrlimit(resource.RLIMIT_FSIZE)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+    return full

@@ -210,4 +210,14 @@ def test_videos_that_cannot_be_written(tmp_path, monkeypatch):
     monkeypatch.setattr(cv2, "VideoWriter", Writer)
     with pytest.raises(DataError, match="this OpenCV cannot write MP4"):
         write_video(tmp_path / "a.mp4", wall, CAMERA, poses(0.0))
+    closed.isOpened, closed.write = lambda: True, lambda picture: None  # as on a full disk: no word of it
+    with pytest.raises(DataError, match="not written whole"):
+        write_video(tmp_path / "a.mp4", wall, CAMERA, poses(0.0))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_cloud_on_a_full_disk_names_the_file(tmp_path, full_disk):
+    with full_disk(1000), pytest.raises(OSError) as told:
+        write_cloud(tmp_path / "a.ply", wall, CAMERA, poses(0.0), CloudConfig())
+    assert told.value.filename == str(tmp_path / "a.ply")
     assert not list(tmp_path.iterdir())

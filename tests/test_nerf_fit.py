@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from conftest import FullDisk
 
 from nerf import checkpoint, fields
 from nerf.fit import FitConfig, Status, fit
@@ -149,17 +150,14 @@ def test_one_view_is_enough_to_run(tmp_path: Path) -> None:
     assert all(torch.isfinite(tensor).all() for tensor in model.parameters().values())
 
 
-def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_disk_leaves_the_last_checkpoint(tmp_path: Path, full_disk: FullDisk) -> None:
     fit(corridor(), config(5), tmp_path)
     before = checkpoint.digest(tmp_path)
-
-    def full(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(checkpoint, "write_bytes", full)
-    with pytest.raises(OSError, match="No space left"):
+    with full_disk(100_000), pytest.raises(OSError) as told:
         fit(corridor(), config(8), tmp_path)
+    assert told.value.filename == str(tmp_path / checkpoint.NAME)
     assert checkpoint.digest(tmp_path) == before
+    assert not list(tmp_path.glob(".*"))
 
 
 @pytest.mark.parametrize("damage", ["cut", "text"])

@@ -151,6 +151,12 @@ def test_what_is_prepared_is_used_again(tmp_path: Path) -> None:
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.npy")} == stamps
 
 
+def test_a_map_that_was_made_anew_is_read_again(tmp_path: Path) -> None:
+    for value in (5.0, 6.0):
+        found = scene(tmp_path, Corridor(), prior(tmp_path / "cache", {"000004": flat(value)})).depth_m
+        assert found is not None and (found[4] == value).all()
+
+
 def test_a_killed_preparation_is_begun_again(tmp_path: Path) -> None:
     made = prior(tmp_path / "cache", {"000003": flat(5.0)})
     place = next(scene(tmp_path, Corridor(), made) and tmp_path.glob("corridor-*/m-*"))
@@ -175,6 +181,13 @@ def test_priors_and_poses_that_do_not_fit_are_refused(
     made = prior(tmp_path / "cache", {id_: flat(value) for id_ in ids}, made_for)
     with pytest.raises(DataError, match=expected):
         scene(tmp_path, drive, made)
+
+
+@pytest.mark.parametrize(("made_for", "id_"), [("another", "000003"), ("corridor", "000050")])
+def test_a_prior_that_does_not_fit_is_found_out_before_images_are_read(tmp_path: Path, made_for: str, id_: str) -> None:
+    with pytest.raises(DataError):
+        scene(tmp_path, Corridor(), prior(tmp_path / "cache", {id_: flat(5.0)}, made_for))
+    assert not list(tmp_path.glob("corridor-*"))
 
 
 def test_a_frame_without_a_pose_is_named(tmp_path: Path) -> None:

@@ -1,21 +1,20 @@
 """Stacks: what is read is what was written, from a map or without one, and a writer that fails leaves nothing."""
 
 import os
-import resource
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import FullDisk
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from nerf import stack
 from nerf.stack import Stack, StackWriter
 
-AROUND = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40)
+AROUND = settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
 
 
 def written(path: Path, array: np.ndarray) -> Stack:
@@ -70,21 +69,10 @@ def test_a_writer_that_fails_leaves_what_was_there(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [path]
 
 
-@contextmanager
-def largest_file(size: int) -> Iterator[None]:
-    """Refuse to write files beyond a size, as a full disk would."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-
-
 @pytest.mark.parametrize("room", [50, 100_000])
-def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path, room: int) -> None:
+def test_a_full_disk_is_an_error_that_names_the_file(tmp_path: Path, full_disk: FullDisk, room: int) -> None:
     path = tmp_path / "a.npy"
-    with largest_file(room), pytest.raises(OSError) as told, StackWriter(path, (9, 100, 200), np.uint8) as file:
+    with full_disk(room), pytest.raises(OSError) as told, StackWriter(path, (9, 100, 200), np.uint8) as file:
         for _ in range(9):
             file.add(1)
     assert told.value.filename == str(path) and told.value.strerror
