@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from cli.arguments import parse
+from cli.arguments import Device, parse, pick_device
 from cli.console import err, out, progress, train_progress
 from priors.errors import DataError
 from priors.learn.config import TrainConfig
@@ -23,6 +23,7 @@ EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill
   priors train completion runs/mffnet --street samples/ --real DRIVE
   priors train mono runs/bts --street samples/
   priors train pack runs/cfnet-s cfnet-s.safetensors    what `--stereo.weights` takes
+  priors train calibrate cfnet-s.safetensors --street samples/    stereo's confidence, from what training held back
 
 --help after any of these tells the rest"""
 
@@ -53,7 +54,7 @@ class RunArguments:
     """The network's size."""
     batch: int = 2
     """Crops in a step."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: Device = "auto"
     """Where to train; auto: a GPU where there is one."""
     how: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
@@ -64,6 +65,8 @@ class StereoArguments(RunArguments):
 
     net: Literal["cfnet", "pcwnet"] = "cfnet"
     """Which network."""
+    cache: Path | None = None
+    """Where prepared real data is kept; default: `real` beside the samples."""
     teacher: Path | None = None
     """Folder of a teacher's maps of the odometry frames, see `python -m priors.learn.teach --help`."""
     start: Path | None = None
@@ -80,6 +83,20 @@ class PackArguments:
     """File to write: .safetensors."""
 
 
+@dataclass(frozen=True)
+class CalibrateArguments:
+    """Arguments of `priors train calibrate`."""
+
+    file: Annotated[Path, tyro.conf.Positional]
+    """Weights of a stereo network; their header is rewritten."""
+    street: Path = Path("samples")
+    """Folder of `priors train samples`."""
+    real: Path | None = None
+    """Real data, as in training."""
+    cache: Path | None = None
+    """Where prepared real data is kept, as in training."""
+
+
 def run(arguments: list[str]) -> int:
     """Train; returns the exit code."""
     kinds: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
@@ -88,6 +105,7 @@ def run(arguments: list[str]) -> int:
         "completion": (RunArguments, lambda args: train_network(args, completion_task(args), "mffnet")),
         "mono": (RunArguments, lambda args: train_network(args, mono_task(args), "bts")),
         "pack": (PackArguments, pack),
+        "calibrate": (CalibrateArguments, calibrate),
     }
     if not arguments or arguments[0] in ("-h", "--help"):
         out.print(EXAMPLES, markup=False)
@@ -117,8 +135,8 @@ def stereo_task(args: StereoArguments) -> "Task":
     net = runtime.create(args.net, args.size)
     if args.start is not None:
         err.print(f"{stereo.start_from(net, args.start)} tensors taken from {args.start}")
-    sources = {"street": args.street, "real": args.real, "teacher": args.teacher}
-    return stereo.StereoTask(net, data.mixture(**sources), data.validation(**sources, count=10), args.batch)
+    folders = args.street, args.real, args.cache, args.teacher
+    return stereo.StereoTask(net, data.mixture(*folders), data.validation(*folders, count=10), args.batch)
 
 
 def completion_task(args: RunArguments) -> "Task":
@@ -137,7 +155,6 @@ def mono_task(args: RunArguments) -> "Task":
 
 def train_network(args: RunArguments, task: "Task", net: str) -> None:
     """Train and tell how to use the result."""
-    from cli.fit import pick_device
     from priors.learn.loop import train
 
     with train_progress(args.out.name) as on_step:
@@ -153,3 +170,11 @@ def pack(args: PackArguments) -> None:
 
     pack_run(args.run, args.out)
     out.print(f"wrote {args.out} ({args.out.stat().st_size / 1e6:.1f} MB)")
+
+
+def calibrate(args: CalibrateArguments) -> None:
+    """Fit a stereo network's confidence to its errors on what training held back."""
+    from priors.learn.confidence import calibrate_file
+
+    for line in calibrate_file(args.file, args.street, args.real, args.cache):
+        out.print(line)

@@ -16,7 +16,7 @@ def samples(seed: int, count: int, noise: float) -> np.ndarray:
 
 
 def spoil(known_m: np.ndarray, share: float, seed: int) -> np.ndarray:
-    """Replace a share of the depths by anything, mostly far too near: what a wrong match or a see-through point does."""
+    """Replace a share of the depths by anything, mostly far too near, as wrong matches do."""
     rng = np.random.default_rng(seed)
     wrong = rng.permutation(len(known_m))[: int(share * len(known_m))]
     out = known_m.copy()

@@ -1,11 +1,9 @@
-"""Train completion: python -m priors.learn.completion OUT --street FOLDER --real DRIVE --minutes 25.
+"""What the completion network learns (`priors train completion`).
 
 The network mends what `methods/completion.py` fills without learning. It sees crops of procedural streets (dense, exact
 truth) and of a real drive (points that it is not shown are the truth), through 64 to 8 scan lines or random points.
-Running the command again goes on where it was; `--export FILE` packs the best weights so far.
 """
 
-import argparse
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,11 +14,9 @@ from torch import Tensor, nn
 
 from priors.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
-from priors.learn import loop, scans
+from priors.learn import scans
 from priors.learn.accumulated import Drive
-from priors.learn.config import TrainConfig
 from priors.learn.loop import Batch
-from priors.learn.pack import pack_run
 from priors.learn.scans import Scene, Shown, Streets
 from priors.methods.completion import EVERYWHERE_PX, complete
 from priors.nets.mffnet import Completed, Mffnet
@@ -210,34 +206,3 @@ def _window(scene: Scene, rng: np.random.Generator, lowest: bool) -> tuple[int, 
         raise DataError(f"completion: scenes of {width}x{height} are smaller than the crop {CROP[1]}x{CROP[0]}")
     top = rng.integers((height - CROP[0]) // 2 if lowest else 0, height - CROP[0] + 1)
     return int(top), int(rng.integers(width - CROP[1] + 1))
-
-
-def main() -> None:
-    """Train, or go on."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("out", type=Path)
-    parser.add_argument("--street", type=Path, required=True)
-    parser.add_argument("--real", type=Path)
-    parser.add_argument("--minutes", type=float, default=25.0)
-    parser.add_argument("--lr", type=float, default=2e-3)
-    parser.add_argument("--batch", type=int, default=4)
-    parser.add_argument("--size", default="m")
-    parser.add_argument("--validate-every", type=int, default=300)
-    parser.add_argument("--threads", type=int)
-    parser.add_argument("--export", type=Path)
-    given = parser.parse_args()
-    cv2.setNumThreads(1)
-    task = CompletionTask(CompletionConfig(given.street, given.real, batch=given.batch, size=given.size))
-    how = TrainConfig(
-        given.minutes, lr=given.lr, warm_up=100, validate_every=given.validate_every, threads=given.threads
-    )
-    about = {"net": "mffnet", "size": given.size}
-    print(
-        loop.train(task, given.out, how, about, on_step=lambda p: print(p.step, f"{p.done:.2f}", p.values, flush=True))
-    )
-    if given.export:
-        pack_run(given.out, given.export)
-
-
-if __name__ == "__main__":
-    main()

@@ -1,6 +1,6 @@
 """Calibrate a stereo network's confidence on pairs that it was not trained on.
 
-    python -m priors.learn.confidence priors/weights/cfnet-m.safetensors --street samples/ --real DATA
+    priors train calibrate priors/weights/cfnet-s.safetensors --street samples/ --real DATA
 
 Runs the network on varied crops of what training held back (street worlds, and labelled odometry frames where there are
 any), fits the score and the table of nets/confidence.py on every second frame, prints how well they hold on the others,
@@ -18,7 +18,6 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 import torch
-from tyro.conf import Positional
 
 from priors.learn import pseudo
 from priors.learn.data import find
@@ -131,21 +130,24 @@ def report(name: str, calibration: Calibration, seen: Seen) -> str:
     )
 
 
-def run(
-    file: Positional[Path], street: Path, real: Path | None = None, teacher: Path | None = None, count: int = 60
-) -> None:
-    """Calibrate a file of weights.
+def calibrate_file(
+    file: Path, street: Path, real: Path | None = None, cache: Path | None = None, count: int = 60
+) -> list[str]:
+    """Calibrate a file of weights, rewriting its header.
 
     Args:
-        file: the weights; their header is rewritten.
+        file: the weights.
         street: folder of rendered samples (`priors train samples`).
         real: folder with kitti_odometry; what was prepared of it for training is used again.
-        teacher: folder of a teacher's maps, if training had one.
+        cache: where that is.
         count: crops of each source in each half.
+
+    Returns:
+        lines that say how well it holds on the half that it was not fitted to.
     """
     about = weights.read_about(file)
     ready = runtime.open_net(about["net"], about["size"], runtime.choose("auto"), file)
-    _, held = find(street, real, teacher=teacher)
+    _, held = find(street, real, cache)
     frames = [path for path in held.odometry if not path.stem.endswith("_right")]
     halves = []
     for start in (0, 1):
@@ -155,14 +157,12 @@ def run(
         }
         halves.append({name: look(ready, items, start) for name, items in parts.items() if items})
     made = calibrate(list(halves[0].values()))
+    lines = []
     for name, seen in halves[1].items():
-        print(report(f"{name}, as trained", Calibration.trusting(), seen))
-        print(report(f"{name}, calibrated", made, seen))
-    print("weights: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(TERMS, made.weights, strict=True)))
+        lines.append(report(f"{name}, as trained", Calibration.trusting(), seen))
+        lines.append(report(f"{name}, calibrated", made, seen))
+    lines.append(
+        "weights: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(TERMS, made.weights, strict=True))
+    )
     weights.rewrite_about(file, calibration=made.record())
-
-
-if __name__ == "__main__":
-    import tyro
-
-    tyro.cli(run, description=__doc__)
+    return lines

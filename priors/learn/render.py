@@ -139,4 +139,3 @@ def _scan(
     height, width = camera.size
     inside = (seen[:, 2] > 0.5) & np.all((uv > -0.5) & (uv < [width - 0.5, height - 0.5]), axis=1)
     return seen[inside].astype(np.float32), beam[inside]
-

@@ -8,26 +8,17 @@ import torch
 from torch import Tensor
 
 from priors.nets import runtime
-from priors.nets.fused import fuse
-from priors.nets.memory import keep_freed
 from priors.nets.runtime import Ready, Runtime
 from priors.nets.trunk import MULTIPLE
 from priors.types import Depth, FloatMap, Image, Mask
 
 WITHIN = 0.05
 """The confidence is the probability that the depth is right within this share of it."""
-_fused: dict[int, Ready] = {}
 
 
 def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready:
     """Load the network, once a process; DataError where its weights are missing or damaged."""
-    ready = runtime.open_net("mffnet", size, chosen, file)
-    if chosen != "bf16":
-        return ready
-    keep_freed()
-    if id(ready.net) not in _fused:
-        _fused[id(ready.net)] = Ready(fuse(ready.net), ready.runtime, ready.about)
-    return _fused[id(ready.net)]
+    return runtime.open_net("mffnet", size, chosen, file)
 
 
 def mend(

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +13,6 @@ from priors.learn.adapt import AdaptConfig, adapt, gather
 from priors.learn.views import View, label_sky
 from priors.methods._mono_known import Known
 from priors.nets import runtime, weights
-from priors.nets.fused import fuse
 from priors.nets.runtime import Ready, Runtime
 from priors.types import Camera, Drive, FloatMap, Frame, Image
 
@@ -37,14 +35,7 @@ def estimate(ready: Ready, image: Image, camera: Camera) -> tuple[FloatMap, Floa
 
 def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready:
     """Load the network, once a process; DataError where its weights are missing or damaged."""
-    path = weights.find(NAME, size, file)
-    return _open(size, chosen, path, weights.digest(path))
-
-
-@lru_cache(maxsize=4)
-def _open(size: str, chosen: Runtime, path: Path, _digest: str) -> Ready:
-    ready = runtime.open_net(NAME, size, chosen, path)
-    return Ready(fuse(ready.net), ready.runtime, ready.about) if chosen == "bf16" else ready
+    return runtime.open_net(NAME, size, chosen, file)
 
 
 def adapted_weights(
