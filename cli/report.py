@@ -92,7 +92,7 @@ def _picture(runs: Sequence[tuple[Run, Scene]], folder: Path) -> None:
     common = [(id_, position) for id_, position in zip(ids[0], scene.test, strict=True) if all(id_ in i for i in ids)]
     for id_, position in common:
         views = [(made.name, *load_view(made.folder / "renders", id_)) for made, _ in runs]
-        codecs.write_image(folder / f"{id_}.jpg", compare(id_, scene.images[position], truths(id_), views))
+        codecs.write_image(folder / f"{id_}.jpg", compare(id_, scene.images[position], truths(id_), views), 90)
     out.print(f"wrote {len(common)} pictures to {folder}")
 
 
