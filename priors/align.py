@@ -14,7 +14,7 @@ import numpy.typing as npt
 from priors.errors import DataError
 from priors.types import FloatMap
 
-Floats: TypeAlias = npt.NDArray[np.float64]
+Floats: TypeAlias = npt.NDArray[np.floating]
 Kind: TypeAlias = Literal["scale", "scale-shift"]
 Space: TypeAlias = Literal["depth", "disparity"]
 
@@ -50,10 +50,11 @@ def fit(values: FloatMap, known_m: FloatMap, kind: Kind, space: Space) -> Alignm
 
     Raises DataError where no sample has both.
     """
-    values, known_m = np.ravel(values).astype(np.float64), np.ravel(known_m).astype(np.float64)
+    given, known = np.ravel(values).astype(np.float64), np.ravel(known_m).astype(np.float64)
     with np.errstate(invalid="ignore"):
-        both = np.isfinite(values) & np.isfinite(known_m) & (values > 0) & (known_m > 0)
-    v, y = values[both], known_m[both] if space == "depth" else 1 / known_m[both]
+        both = np.isfinite(given) & np.isfinite(known) & (given > 0) & (known > 0)
+    v: Floats = given[both]
+    y: Floats = known[both] if space == "depth" else 1 / known[both]
     if not len(v):
         raise DataError("nothing to align to: no pixel has both a value and a known depth")
     v = v / y  # a v + b against y, as a share of y

@@ -16,7 +16,7 @@ Net = TypeVar("Net", bound=nn.Module)
 
 
 def fuse(net: Net) -> Net:
-    """Replace folded convolution + ReLU pairs (2D, 3D) and Residual blocks, in place; folding and the dtype come before.
+    """Replace folded convolution + ReLU pairs (2D, 3D) and Residual blocks, in place; folded and cast before.
 
     The result computes the same up to the rounding of what is no longer rounded in between; it cannot be trained,
     moved or exported.
