@@ -71,7 +71,7 @@ def run(arguments: list[str]) -> int:
         drive = made.drive()
         scene = made.scene(drive, progress)
         opened.append((made, scene))
-        reports.append(report_run(made, args.lpips, scene, drive, device=args.device))
+        reports.append(report_run(made, args.lpips, scene, drive, _told_by_study(folder), args.device))
     laid = print_table(reports)
     for path in args.save:
         codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
@@ -79,6 +79,13 @@ def run(arguments: list[str]) -> int:
     if args.pictures is not None:
         _picture(opened, args.pictures)
     return 0
+
+
+def _told_by_study(folder: Path) -> dict[str, object] | None:
+    """Return what a study wrote of a run, so that the study still finds it done; None where it was no study's."""
+    path = folder / "metrics.json"
+    info = Report.load(path).info if path.exists() else {}
+    return info if "command" in info else None
 
 
 def _picture(runs: Sequence[tuple[Run, Scene]], folder: Path) -> None:

@@ -71,13 +71,13 @@ class Run:
 
 
 def claim(folder: Path, config: RunConfig, same_budget: bool = False) -> Run:
-    """Begin a run in a folder, or go on with the same one; DataError where another run is in it.
+    """Begin a run in a folder, or go on with the same one; DataError where another run was trained in it.
 
     A run that had another budget goes on as well, at the new budget's learning rate; with `same_budget` it is begun
     anew, so that figures are those of the budget that is asked for.
     """
     path = folder / "config.json"
-    found = open_run(folder).config if path.exists() else config
+    found = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
     if _comparable(found) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (found.fit.steps, found.fit.seconds) != (config.fit.steps, config.fit.seconds):

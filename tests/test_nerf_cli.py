@@ -1,0 +1,179 @@
+"""`nerf`'s commands from fit to export on a tiny street, and what they say of bad input: one line, nothing lost."""
+
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from conftest import FullDisk
+from safetensors.torch import load_file
+
+from cli.nerf import PROGRAM
+from nerf.pictures import KEPT, picture_path
+from priors import build, codecs
+from priors.drives import open_drive
+from priors.filters import Filters
+from priors.methods.lidar import Lidar
+from priors.street.write import write_street
+
+SIZE = (32, 96)
+HELD_OUT = "0000000009"
+
+
+@pytest.fixture(scope="module")
+def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """street/, cache/ with a LiDAR prior, and runs/prior: three steps with it."""
+    folder = tmp_path_factory.mktemp("home")
+    write_street(folder / "street", 10, 7, SIZE)
+    drive = open_drive(folder / "street")
+    prior, method = build.prepare(drive, "lidar", Lidar(), Filters(), folder / "cache")
+    build.build(drive, prior, method, Filters(), build.plan(drive, prior, method.reads, build.Selection()))
+    assert (
+        nerf("fit", folder / "street", "--prior", prior.folder, "--steps", 3, "--run", folder / "runs" / "prior") == 0
+    )
+    return folder
+
+
+def nerf(*arguments: object) -> int:
+    return PROGRAM.run([str(argument) for argument in arguments])
+
+
+def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
+    """Run what must fail; returns its one line."""
+    capsys.readouterr()
+    assert nerf(*arguments) == 1
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1
+    return lines[0]
+
+
+def prior_of(home: Path) -> Path:
+    return next((home / "cache").glob("*/lidar-*"))
+
+
+def test_a_fit_leaves_a_scored_run(home: Path) -> None:
+    run = home / "runs" / "prior"
+    names = {path.name for path in run.iterdir()}
+    assert names == {"config.json", "checkpoint.safetensors", "metrics.json", "metrics.jsonl", "depth.json", "renders"}
+    assert all(picture_path(run / "renders", kind, HELD_OUT).exists() for kind in KEPT)
+
+
+def test_eval_sets_runs_side_by_side(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run = home / "runs" / "prior"
+    assert nerf("eval", run, run, "--save", tmp_path / "t.md", "--pictures", tmp_path / "pictures") == 0
+    assert (tmp_path / "t.md").read_text().count("| prior |") == 2
+    assert "wrote 1 pictures" in capsys.readouterr().out
+    picture = codecs.read_image(tmp_path / "pictures" / f"{HELD_OUT}.jpg")
+    assert picture.shape[1] > 3 * 450
+
+
+def test_new_poses_are_rendered(home: Path, tmp_path: Path) -> None:
+    pose = open_drive(home / "street")[9].T_world_cam
+    assert pose is not None
+    np.savetxt(tmp_path / "p.txt", [pose[:3].ravel(), pose[:3].ravel()])
+    assert nerf("render", home / "runs" / "prior", "--poses", tmp_path / "p.txt", "--out", tmp_path / "new") == 0
+    files = sorted(str(path.relative_to(tmp_path / "new")) for path in (tmp_path / "new").rglob("*.png"))
+    assert files == [f"{kind}/00000{i}.png" for kind in ("depth", "depth_colour", "rgb") for i in (0, 1)]
+    own = codecs.read_image(picture_path(home / "runs" / "prior" / "renders", "rgb", HELD_OUT))
+    difference = codecs.read_image(tmp_path / "new" / "rgb" / "000000.png").astype(int) - own
+    assert np.abs(difference).max() <= 2, "the same pose, written as text"
+
+
+def test_a_video_and_a_cloud_are_written(home: Path, tmp_path: Path) -> None:
+    run = home / "runs" / "prior"
+    assert nerf("video", run, "--frames", "2:4", "--steps", 2, "--out", tmp_path / "v.mp4") == 0
+    assert cv2.VideoCapture(str(tmp_path / "v.mp4")).get(cv2.CAP_PROP_FRAME_COUNT) == 3
+    assert nerf("export", run, "--frames", "2:3", "--opacity", 0.0, "--out", tmp_path / "c.ply") == 0
+    assert (tmp_path / "c.ply").read_bytes().startswith(b"ply\n")
+
+
+def test_a_run_goes_on_and_says_where_nothing_is_left(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shutil.copytree(home / "runs" / "prior", tmp_path / "runs" / "prior")
+    fit = ["fit", home / "street", "--prior", prior_of(home), "--run", tmp_path / "runs" / "prior", "--steps"]
+    assert nerf(*fit, 3) == 0
+    assert "trained before, 3 steps" in capsys.readouterr().err
+    assert nerf(*fit, 4) == 0
+    assert "trained before" not in capsys.readouterr().err
+    assert "other settings" in refused(capsys, *fit, 4, "--views", "sparse")
+
+
+def test_a_study_is_found_done_after_eval_and_begins_anew_with_another_budget(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    study = ["study", home / "street", "--priors", "none", "--views", 2, "--out", tmp_path / "study", "--steps"]
+    run = tmp_path / "study" / "ngp-2-none-seed0"
+    assert nerf(*study, 3) == 0
+    first = load_file(run / "checkpoint.safetensors")
+    assert nerf("eval", run) == 0
+    capsys.readouterr()
+    assert nerf(*study, 3) == 0
+    assert "done before" in capsys.readouterr().err
+    assert nerf(*study, 2) == 0
+    assert "done before" not in capsys.readouterr().err
+    assert nerf(*study, 3) == 0
+    again = load_file(run / "checkpoint.safetensors")
+    assert all(torch.equal(first[name], again[name]) for name in first)
+
+
+def test_priors_that_cannot_be_used_are_refused_in_a_line(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other"
+    write_street(other, 10, 8, SIZE)
+    prior, run = prior_of(home), tmp_path / "runs" / "a"
+    assert f"made for {home}" in refused(capsys, "fit", other, "--prior", prior, "--steps", 2, "--run", run)
+    street = ["fit", home / "street", "--steps", 2, "--run", tmp_path / "runs" / "b"]
+    few = tmp_path / "few" / prior.name
+    shutil.copytree(prior, few)
+    for path in [*(few / "depth").glob("000000000[1-9].png")]:
+        path.unlink()
+    assert "none of the 5 frames has a map" in refused(capsys, *street, "--prior", few, "--frames", "5:10")
+    for path in (few / "depth").glob("*.png"):
+        codecs.write_depth_png(path, np.zeros(SIZE, np.float32))
+    assert "no value in any" in refused(capsys, *street, "--prior", few)
+    (few / "depth" / "0000000000.png").write_bytes(b"cut")
+    assert "0000000000.png" in refused(capsys, *street, "--prior", few)
+
+
+def test_poses_that_jump_are_refused(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(home / "street", tmp_path / "street")
+    for path in sorted(tmp_path.glob("street/**/oxts/data/*.txt"))[6:]:
+        latitude, rest = path.read_text().split(" ", 1)
+        path.write_text(f"{float(latitude) + 0.01} {rest}")
+    told = refused(capsys, "fit", tmp_path / "street", "--steps", 2, "--run", tmp_path / "runs" / "a")
+    assert "jumps" in told and "0000000006" in told
+    assert not list(tmp_path.rglob("images.npy"))
+
+
+def test_one_training_view_trains_and_few_frames_are_not_scored(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert nerf("fit", home / "street", "--frames", "3:4", "--steps", 2, "--run", tmp_path / "runs" / "one") == 0
+    told = capsys.readouterr()
+    assert "one training view" in told.err
+    assert "nothing to score" in told.out
+    assert "is held out" in refused(capsys, "eval", tmp_path / "runs" / "one")
+
+
+def test_a_full_disk_is_one_line_and_what_was_there_stays(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], full_disk: FullDisk
+) -> None:
+    shutil.copytree(home / "runs" / "prior", tmp_path / "runs" / "prior")
+    fit = ["fit", home / "street", "--prior", prior_of(home), "--run", tmp_path / "runs" / "prior", "--steps", 5]
+    with full_disk(20_000):
+        assert "images.npy: " in refused(capsys, *fit)
+    with full_disk(1_000_000):
+        assert "checkpoint.safetensors: " in refused(capsys, *fit)
+    before = (home / "runs" / "prior" / "checkpoint.safetensors").read_bytes()
+    assert (tmp_path / "runs" / "prior" / "checkpoint.safetensors").read_bytes() == before
+    assert not [path for path in tmp_path.rglob(".*") if path.is_file()]
+    assert nerf(*fit) == 0
+
+
+def test_what_is_no_run_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for command in ("eval", "render", "video", "export"):
+        assert "not a run's folder" in refused(capsys, command, tmp_path)
