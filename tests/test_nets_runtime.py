@@ -197,17 +197,19 @@ def test_onnx_equals_torch(tmp_path: Path) -> None:
 @pytest.mark.skipif(not STEREO, reason="no stereo weights in priors/weights yet")
 @pytest.mark.parametrize("path", STEREO, ids=lambda path: path.stem)
 def test_runtimes_agree_on_real_pairs(path: Path, real_data: RealData) -> None:
-    """The promise of docs/methods/stereo.md: ONNX within 0.05 px, bf16 within 0.1 px on 99 % of the pixels."""
-    folder = real_data("kitti_odometry", "sequences", "06")
+    """The promise of docs/methods/stereo.md: ONNX within 0.05 px, bf16 within 0.1 px on 99 % of all pixels."""
     name, size = path.stem.split("-")
-    for number in (3, 30):
+    near = []
+    for sequence, number in (("06", 3), ("06", 30), ("01", 3), ("01", 30)):
+        folder = real_data("kitti_odometry", "sequences", sequence)
         views = [codecs.read_image(folder / f"image_{eye}" / f"{number:06d}.png")[100:292, 200:712] for eye in (0, 1)]
         left, right = (as_input(view) for view in views)
         nets = [open_net(name, size, how) for how in ("fp32", "bf16")]
         exact, rough = (as_map(net(left, right, largest_px=96).disparity_px) for net in nets)
-        assert np.mean(np.abs(exact - rough) <= 0.1) >= 0.99
+        near.append(np.abs(exact - rough) <= 0.1)
         pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
         from priors.nets.export import Graphs
 
         portable = Graphs(open_net(name, size, "onnx"))(left, right, 96)[0]
         assert np.max(np.abs(exact - portable)) <= 0.05
+    assert np.mean(near) >= 0.99

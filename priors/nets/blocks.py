@@ -7,6 +7,7 @@ run at a tenth of that (docs/benchmarks.md).
 from typing import TypeVar
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
@@ -38,6 +39,13 @@ class Residual(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Add what the convolutions find."""
         return torch.relu(x + self.second(self.first(x)))
+
+
+def exact(layer: nn.Conv2d | nn.Conv3d, x: Tensor) -> Tensor:
+    """Convolve in float32 whatever the weights' type: where a logit's rounding would choose another surface."""
+    run = F.conv2d if isinstance(layer, nn.Conv2d) else F.conv3d
+    bias = None if layer.bias is None else layer.bias.float()
+    return run(x.float(), layer.weight.float(), bias, layer.stride, layer.padding, layer.dilation)
 
 
 def fold(net: Net) -> Net:

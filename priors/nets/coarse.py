@@ -4,7 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import conv3d
+from priors.nets.blocks import conv3d, exact
 from priors.nets.matching import correlate
 from priors.nets.outputs import Matched
 from priors.nets.volume import concatenate, expect, unit
@@ -46,7 +46,9 @@ class Coarse(nn.Module):
         coarsest = self.fuse[1](torch.cat([self.down[1](sixteenth), coarsest], dim=1))
         sixteenth = sixteenth + self.up[1](double(coarsest))
         eighth = eighth + self.up[0](double(sixteenth))
-        logits = self.last(eighth).squeeze(1)
+        mix, classify = self.last
+        assert isinstance(classify, nn.Conv3d)
+        logits = exact(classify, mix(eighth)).squeeze(1)
         position = torch.arange(planes, device=logits.device, dtype=torch.float32)
         disparity, sigma = expect(logits, position, window=2)
         return Matched(disparity, sigma, logits, position)
