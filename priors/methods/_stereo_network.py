@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from torch import Tensor
 
+from priors.matching import to_grey
 from priors.nets import runtime, weights
 from priors.nets.confidence import Calibration
 from priors.nets.export import Graph, Graphs
@@ -91,12 +92,13 @@ def busy(left: Image, right: Image) -> tuple[slice, slice]:
 
     Empty is what varies by less than two grey levels from its first to its last pixel in both views.
     """
-    varies = [
-        np.ptp(view.reshape(*view.shape[:2], -1).max(axis=2), axis=axis) >= LEAST_CONTRAST
-        for axis in (1, 0)
-        for view in (left, right)
-    ]
-    return _span(varies[0] | varies[1]), _span(varies[2] | varies[3])
+    rows, columns = np.zeros(left.shape[0], np.bool_), np.zeros(left.shape[1], np.bool_)
+    if left.size:
+        for view in (to_grey(left), to_grey(right)):
+            for varies, axis in ((columns, 0), (rows, 1)):
+                most, least = (cv2.reduce(view, axis, kind).ravel() for kind in (cv2.REDUCE_MAX, cv2.REDUCE_MIN))
+                varies |= most - least >= LEAST_CONTRAST
+    return _span(rows), _span(columns)
 
 
 def _span(mask: Mask) -> slice:
