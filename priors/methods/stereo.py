@@ -25,7 +25,7 @@ class Stereo:
 
     model: Literal["classical", "cfnet", "pcwnet"] = "classical"
     """classical: semi-global matching, smoothed and filled by what the image says; the others are networks."""
-    size: Literal["s", "m", "l"] = "m"
+    size: Literal["s", "m", "l"] = "s"
     """Of a network: small is faster, large is better."""
     runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
     """What runs a network; auto: CUDA where there is one, bf16 on CPUs that have it, else fp32."""
