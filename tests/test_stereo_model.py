@@ -24,7 +24,7 @@ MODELS = pytest.mark.parametrize("method", [NET, Stereo(offset_px=NONE)], ids=["
 
 @pytest.fixture(autouse=True)
 def standin(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
-    return install(monkeypatch, tmp_path / "weights")
+    return install(monkeypatch, tmp_path / "weights", size="s")
 
 
 def finite(depth: Depth, shape: tuple[int, int]) -> bool:
@@ -44,7 +44,7 @@ def test_known_shift() -> None:
 
 
 def test_range_comes_from_the_scene_in_steps_of_32() -> None:
-    net: Any = runtime.open_net("cfnet", "m", "fp32").net
+    net: Any = runtime.open_net("cfnet", "s", "fp32").net
     for disparity_px, low, high in ((12.0, 32, 64), (45.0, 64, 96)):
         NET(frame(*pair(disparity_px)))
         assert low <= net.asked[-1] <= high and net.asked[-1] % 32 == 0
@@ -96,7 +96,7 @@ def test_large_pairs_are_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     assert network.count_halvings((3000, 4000), 1000) == 2
     assert network.count_halvings((375, 1242), 600) == 1
     monkeypatch.setattr(network, "MOST_PIXELS", 120 * 320 - 1)
-    net: Any = runtime.open_net("cfnet", "m", "fp32").net
+    net: Any = runtime.open_net("cfnet", "s", "fp32").net
     depth = Stereo(model="cfnet", runtime="fp32", offset_px=NONE, max_disparity_px=60)(frame(*pair(24.0)))
     assert net.asked[-1] == 32
     assert np.median(np.abs(FX * BASELINE_M / depth.depth_m - 24)[:, 60:-60]) < 0.3 and finite(depth, (120, 320))
@@ -199,7 +199,7 @@ def test_weights_need_a_network() -> None:
     with pytest.raises(DataError, match=r"a.safetensors: which network"):
         Stereo(weights=Path("a.safetensors"))
     left, right, _ = scene()
-    with pytest.raises(DataError, match="no weights for pcwnet in size m"):
+    with pytest.raises(DataError, match="no weights for pcwnet in size s"):
         Stereo(model="pcwnet", runtime="fp32")(frame(left, right))
 
 
@@ -211,7 +211,7 @@ def test_onnx_gives_the_same_depth(tmp_path: Path) -> None:
     left, right, _ = scene()
     exact = Stereo(model="cfnet", runtime="fp32", offset_px=NONE, max_disparity_px=60)(frame(left, right))
     file = tmp_path / "a.onnx"
-    codecs.write_bytes(file, to_onnx(runtime.open_net("cfnet", "m", "onnx"), (128, 320), 64))
+    codecs.write_bytes(file, to_onnx(runtime.open_net("cfnet", "s", "onnx"), (128, 320), 64))
     for method in (
         Stereo(model="cfnet", runtime="onnx", offset_px=NONE, max_disparity_px=60),
         Stereo(model="cfnet", weights=file, offset_px=NONE),
