@@ -13,6 +13,7 @@ from cli.console import out, progress
 from priors import cache, codecs, picture
 from priors.build import select
 from priors.cache import Prior
+from priors.colours import as_rgb
 from priors.errors import DataError
 from priors.labels import labels
 from priors.picture import Tile
@@ -74,14 +75,14 @@ def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
 
 def compare(frame: Frame, rows: Sequence[tuple[str, Depth]], width: int) -> Image:
     """Lay out one frame: image and truth, then depth, error and confidence of each prior."""
-    image = picture.as_rgb(frame.image())
+    image = as_rgb(frame.image())
     truth = frame.truth() if frame.has("truth") else None
     dark = Tile(image * 0, "")
     tiles = [Tile(image, f"frame {frame.id}"), dark, dark]
     if truth is not None:
         tiles[1] = picture.depth_tile(truth, "truth")
     if frame.has("other"):
-        tiles[2] = Tile(picture.as_rgb(frame.other()), "the pair's other image")
+        tiles[2] = Tile(as_rgb(frame.other()), "the pair's other image")
     for name, depth in rows:
         tiles.append(picture.depth_tile(depth, name))
         tiles.append(dark if truth is None else picture.error_tile(depth, truth))

@@ -18,6 +18,7 @@ from priors.colours import (
     NEAREST_M,
     Colour,
     Table,
+    as_rgb,
     colour_confidence,
     colour_depth,
     colour_error,
@@ -166,8 +167,3 @@ def overlay(image: Image, mask: Mask, colour: Colour = (64, 170, 255), strength:
     edge = mask & ~cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
     tinted[edge] = colour
     return tinted
-
-
-def as_rgb(image: Image) -> Image:
-    """Return the image as (height, width, 3)."""
-    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image

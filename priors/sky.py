@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.colours import as_rgb
 from priors.types import FloatMap, Image, Mask
 
 VERSION = 1
@@ -49,7 +50,7 @@ def sky_mask(image: Image) -> Mask:
 
     if image.size == 0:
         return np.zeros(image.shape[:2], dtype=np.bool_)
-    image = np.ascontiguousarray(image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2))
+    image = np.ascontiguousarray(as_rgb(image))
     factor = block_side(image.shape[0], image.shape[1])
     colour, texture = kernels.shrink(image, factor)
     rules = load_weights()

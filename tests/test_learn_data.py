@@ -232,7 +232,7 @@ def test_a_layout_stands_on_its_ground() -> None:
 
 
 def write_street(folder: Path, worlds: int = 4) -> Path:
-    """A folder as `priors train render` leaves it, of two samples a world."""
+    """A folder as `priors train samples` leaves it, of two samples a world."""
     for world in range(worlds):
         for number in (24 * world, 24 * world + 1):
             pair = slanted((64, 128), a=5 + world)

@@ -36,7 +36,7 @@ class CompletionConfig:
     """What to learn from and how much of it a step sees."""
 
     street: Path = Path("street")
-    """Folder of samples from `priors train render`."""
+    """Folder of samples from `priors train samples`."""
     real: Path | None = None
     """KITTI raw drive with sweeps, or a folder whose kitti_raw_train/ holds such; never what is tested on."""
     real_share: float = 0.4

@@ -14,13 +14,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors import build, drives
-from priors.colours import colour_depth, thicken
+from priors.colours import as_rgb, colour_depth, thicken
 from priors.drives import DriveOptions
-from priors.errors import DataError
 from priors.filters import Filters
 from priors.learn import sample as samples
 from priors.learn.loop import Batch
+from priors.learn.scans import Streets
 from priors.learn.views import LARGEST_M, SKY, SURFACE, UNKNOWN, View, collate, cut, label_sky, repaint
+from priors.learn.weighing import mean
 from priors.methods._mono_known import trusted
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
@@ -28,7 +29,6 @@ from priors.nets import bts
 from priors.types import Image
 
 CROP, ZOOM = (256, 512), (0.65, 1.5)
-PER_WORLD = 24
 HELD_OUT = {"sfnd": 4, "06": 6, "01": 6}
 """Last frames of each real drive: for validation."""
 OFFSETS_PX = {"06": (0.0, 0.0, 1.4), "01": (0.0, 0.0, 2.4)}
@@ -40,7 +40,7 @@ class MonoConfig:
     """What to learn from and how much of it a step sees."""
 
     street: Path = Path("street")
-    """Folder of samples from `priors train render`."""
+    """Folder of samples from `priors train samples`."""
     data: Path | None = None
     """Folder that holds kitti_raw_train, kitti_odometry or both; none: streets only."""
     cache: Path = Path("cache")
@@ -63,12 +63,8 @@ class MonoTask:
     def __post_init__(self) -> None:
         torch.manual_seed(0)
         self.net = bts.Bts(self.config.size)
-        paths = sorted(path for path in self.config.street.glob("*.npz") if path.stem.isdigit())
-        held = [int(path.stem) // PER_WORLD % 10 == 3 for path in paths]
-        self._streets = [path for path, out in zip(paths, held, strict=True) if not out]
-        if not self._streets:
-            raise DataError(f"{self.config.street}: no samples to train on: render them with priors train render")
-        validation = [path for path, out in zip(paths, held, strict=True) if out]
+        self._streets = Streets(self.config.street)
+        validation = self._streets.validation
         self._held = [read_street(path) for path in validation[:: max(1, len(validation) // 12)]]
         self._real: dict[str, list[View]] = {}
         for view in read_real(self.config.data, self.config.cache) if self.config.data else ():
@@ -112,8 +108,7 @@ class MonoTask:
             if view.source not in drawn:
                 out = predict(net, view)
                 depth_m = np.where(out.sky_logit[0].numpy() > 0, np.float32(0), out.depth_m[0].numpy())
-                image = view.image if view.image.ndim == 3 else np.repeat(view.image[..., None], 3, axis=2)
-                rows = [image, thicken(colour_depth(view.depth_m)), colour_depth(depth_m)]
+                rows = [as_rgb(view.image), thicken(colour_depth(view.depth_m)), colour_depth(depth_m)]
                 drawn[view.source] = np.concatenate(rows)
         return drawn
 
@@ -121,7 +116,7 @@ class MonoTask:
         if self._real and rng.random() < self.config.real_share:
             views = self._real[sorted(self._real)[rng.integers(len(self._real))]]
             return views[rng.integers(len(views))]
-        return read_street(self._streets[rng.integers(len(self._streets))])
+        return read_street(self._streets.train[rng.integers(len(self._streets.train))])
 
 
 def read_street(path: Path) -> View:
@@ -200,8 +195,3 @@ def nearest_of_cells(depth_m: Tensor) -> Tensor:
     inverse = torch.where(depth_m > 0, 1 / depth_m.clamp_min(1e-3), 0.0)
     most = F.max_pool2d(inverse[:, None], 4, ceil_mode=True)[:, 0]
     return torch.where(most > 0, 1 / most.clamp_min(1e-6), 0.0)
-
-
-def mean(values: Tensor, known: Tensor) -> Tensor:
-    """Return the mean where known; 0 where nothing is."""
-    return (values * known).sum() / known.sum().clamp_min(1)

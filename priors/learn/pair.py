@@ -7,6 +7,8 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from priors import geometry
+from priors.colours import as_rgb
 from priors.learn import sample as samples
 from priors.types import Camera, FloatMap, Image, Mask
 
@@ -94,18 +96,7 @@ def crop(pair: Pair, top: int, left: int, size: tuple[int, int]) -> Pair:
         sky=pair.sky[window],
         weight=pair.weight[window],
     )
-    return cut if pair.camera is None else replace(cut, camera=moved(pair.camera, top, left, size, size))
-
-
-def moved(camera: Camera, top: int, left: int, window: tuple[int, int], size: tuple[int, int]) -> Camera:
-    """Return the camera of a window (height, width) of the image, resized to size."""
-    scale_y, scale_x = size[0] / window[0], size[1] / window[1]
-    K = camera.K.copy()
-    K[0] *= scale_x
-    K[1] *= scale_y
-    K[0, 2] = (camera.K[0, 2] - left + 0.5) * scale_x - 0.5
-    K[1, 2] = (camera.K[1, 2] - top + 0.5) * scale_y - 0.5
-    return Camera(K, size)
+    return cut if pair.camera is None else replace(cut, camera=geometry.crop(pair.camera, top, left, size))
 
 
 def to_item(pair: Pair) -> Item:
@@ -135,5 +126,4 @@ def to_item(pair: Pair) -> Item:
 
 
 def _planes(image: Image) -> npt.NDArray[np.float32]:
-    colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
-    return np.multiply(colour, np.float32(1 / 255), dtype=np.float32).transpose(2, 0, 1)
+    return np.multiply(as_rgb(image), np.float32(1 / 255), dtype=np.float32).transpose(2, 0, 1)

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from priors import geometry
 from priors.build import shard
 from priors.learn import sample as samples
-from priors.learn.sample import Sample
+from priors.learn.sample import PER_WORLD, Sample
 from priors.street import lidar, rig
 from priors.street.config import StreetConfig
 from priors.street.street import Street
 from priors.types import Camera, Matrix
 
 SIZE = (288, 576)
-PER_STREET = 24
 SECONDS = 18.0
 KITTI_SHARE = 0.65
 FIRST_WORLD = 100_000
@@ -39,9 +39,9 @@ def render(out: Path, count: int, on_sample: Callable[[int], None] = lambda numb
         on_sample: called with each sample's number when it is there.
         part: i/n, to share the work among n processes.
     """
-    for world in shard(list(range(-(-count // PER_STREET))), part):
+    for world in shard(list(range(-(-count // PER_WORLD))), part):
         street: Street | None = None
-        for number in range(world * PER_STREET, min((world + 1) * PER_STREET, count)):
+        for number in range(world * PER_WORLD, min((world + 1) * PER_WORLD, count)):
             path = out / f"{number:06d}.npz"
             if not path.exists():
                 street = street or Street(FIRST_WORLD + world, config=draw_world(FIRST_WORLD + world))
@@ -134,8 +134,8 @@ def _scan(
     elevation = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
     middles = 0.5 * (lidar.ELEVATIONS_RAD[:-1] + lidar.ELEVATIONS_RAD[1:])
     beam = (63 - np.searchsorted(middles[::-1], elevation)).astype(np.uint8)
-    seen = xyz @ T_cam_velo[:3, :3].T + T_cam_velo[:3, 3]
-    uv = seen[:, :2] / np.maximum(seen[:, 2:], 1e-6) * [camera.K[0, 0], camera.K[1, 1]] + camera.K[:2, 2]
+    seen = geometry.transform(T_cam_velo, xyz)
+    uv, depth_m = geometry.project(camera, seen)
     height, width = camera.size
-    inside = (seen[:, 2] > 0.5) & np.all((uv > -0.5) & (uv < [width - 0.5, height - 0.5]), axis=1)
+    inside = (depth_m > 0.5) & np.all((uv > -0.5) & (uv < [width - 0.5, height - 0.5]), axis=1)
     return seen[inside].astype(np.float32), beam[inside]

@@ -11,6 +11,8 @@ from priors import codecs
 from priors.errors import DataError
 from priors.types import Camera, FloatMap, Image, Mask
 
+PER_WORLD = 24
+"""Samples drawn of one world."""
 PER_PX = 256
 """Disparities are stored in 1/256 px, as KITTI's are; 0 = sky or beyond what that can tell."""
 

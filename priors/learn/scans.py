@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors import geometry
 from priors.errors import DataError
 from priors.learn import sample as samples
 from priors.methods.lidar import hidden
@@ -60,13 +61,13 @@ class Shown:
 class Streets:
     """Rendered samples: every tenth world is for validation."""
 
-    def __init__(self, folder: Path, per_world: int = 24) -> None:
+    def __init__(self, folder: Path) -> None:
         numbers = sorted(path for path in folder.glob("*.npz") if path.stem.isdigit())
-        held = [int(path.stem) // per_world % 10 == 3 for path in numbers]
+        held = [int(path.stem) // samples.PER_WORLD % 10 == 3 for path in numbers]
         self.train = [path for path, out in zip(numbers, held, strict=True) if not out]
         self.validation = [path for path, out in zip(numbers, held, strict=True) if out]
         if not self.train:
-            raise DataError(f"{folder}: no samples to train on: render them with priors train render")
+            raise DataError(f"{folder}: no samples to train on: render them with priors train samples")
 
     @staticmethod
     def read(path: Path) -> Scene:
@@ -99,9 +100,7 @@ def show(scene: Scene, rng: np.random.Generator, every: int | None = None) -> Sh
 def crop(scene: Scene, top: int, left: int, size: tuple[int, int]) -> Scene:
     """Cut a window out of a scene."""
     rows, columns = slice(top, top + size[0]), slice(left, left + size[1])
-    K = scene.camera.K.copy()
-    K[:2, 2] -= left, top
-    camera = Camera(K, size)
+    camera = geometry.crop(scene.camera, top, left, size)
     inside = pixels(scene.points_m, camera)[1]
     return replace(
         scene,

@@ -17,6 +17,7 @@ import numpy.typing as npt
 import tyro
 
 from priors import sky
+from priors.colours import as_rgb
 from priors.kernels.sky import shrink
 from priors.learn.sky_labels import SKY, UNKNOWN, Sample, read_camvid, read_kitti, read_street
 from priors.types import FloatMap, Image
@@ -116,7 +117,7 @@ def second_blocks(samples: Sequence[Sample], rule: sky.Layers, seed: int) -> tup
 
 def blocks_of(image: Image) -> tuple[Floats, FloatMap]:
     """Average an image to blocks, as `sky_mask` does."""
-    image = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    image = as_rgb(image)
     return shrink(np.ascontiguousarray(image), sky.block_side(*image.shape[:2]))
 
 
@@ -141,7 +142,7 @@ def altered(samples: Sequence[Sample], rng: np.random.Generator) -> Iterable[tup
 def alter(image: Image, label: FloatMap, rng: np.random.Generator) -> tuple[Image, FloatMap]:
     """Make another camera's picture of the scene: crop, mirror, exposure, white balance, grey, tone, noise."""
     image, label = crop(image, label, rng)
-    light = (image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)).astype(np.float32) / 255
+    light = as_rgb(image).astype(np.float32) / 255
     light = light**2.2
     if rng.random() < 0.5:  # another sky: early, late, clouds, deep blue, or a camera that sees little blue
         amount = cv2.GaussianBlur((label == SKY).astype(np.float32), (3, 3), 0)[..., None]

@@ -8,7 +8,6 @@ spread is what the error is: the next stage's range and the confidence rest on i
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -18,12 +17,14 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors.colours import colour_depth
+from priors.learn.data import collate
 from priors.learn.loop import Batch
+from priors.learn.pair import Item
+from priors.learn.weighing import mean
 from priors.nets import weights
 from priors.nets.outputs import Matched, StereoOut
 from priors.types import Image
 
-Item = dict[str, Any]
 LARGEST_PX = 192
 SHARP_PX = 0.5
 """Errors below this are squared."""
@@ -50,7 +51,7 @@ class StereoTask:
         self._schedule = schedule
 
     def batch(self, step: int, rng: np.random.Generator) -> Batch:
-        """Draw a batch: left, right (b, 3, h, w), disparity_px, known, weight (b, h, w)."""
+        """Draw a batch (see data.collate), and how many stages learn from it."""
         stages = 1 + sum(step >= first for first in self._schedule)
         return collate([self._draw(rng) for _ in range(self._size)]) | {"stages": torch.tensor(stages)}
 
@@ -128,21 +129,10 @@ def predict(net: nn.Module, item: Item) -> tuple[npt.NDArray[np.float32], npt.ND
     return out.disparity_px[0].float().cpu().numpy(), out.doubt[0].float().cpu().numpy()
 
 
-def collate(items: Sequence[Item]) -> Batch:
-    """Stack items to tensors."""
-    fields = ("left", "right", "disparity_px", "known", "weight")
-    return {f: torch.from_numpy(np.stack([item[f] for item in items]).astype(np.float32)) for f in fields}
-
-
 def soft(error: Tensor) -> Tensor:
     """Return the absolute value, rounded off below SHARP_PX."""
     size = error.abs()
     return torch.where(size < SHARP_PX, 0.5 * size.square() / SHARP_PX, size - 0.5 * SHARP_PX)
-
-
-def mean(values: Tensor, weight: Tensor) -> Tensor:
-    """Return the weighted mean; 0 where nothing has weight."""
-    return (values * weight).sum() / weight.sum().clamp(min=1.0)
 
 
 def cross_entropy(stage: Matched, target_px: Tensor, weight: Tensor) -> Tensor:

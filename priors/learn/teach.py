@@ -18,6 +18,7 @@ import tyro
 from torch import nn
 
 from priors import codecs
+from priors.colours import as_rgb
 from priors.errors import DataError
 from priors.learn.pseudo import View, read_views, sequences
 from priors.types import FloatMap, Image
@@ -88,7 +89,7 @@ def predict(net: nn.Module, view: View) -> FloatMap:
 
 def _tensor(image: Image) -> torch.Tensor:
     """Normalise an image and pad it at the top and on the right."""
-    colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+    colour = as_rgb(image)
     values = (colour.astype(np.float32) / 255 - MEAN) / STD
     pad = (-image.shape[0] % MULTIPLE, 0), (0, -image.shape[1] % MULTIPLE), (0, 0)
     return torch.from_numpy(np.pad(values, pad).transpose(2, 0, 1).copy())[None]

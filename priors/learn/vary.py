@@ -10,8 +10,9 @@ from dataclasses import dataclass, field, replace
 import cv2
 import numpy as np
 
+from priors import geometry
 from priors.learn import looks
-from priors.learn.pair import Pair, moved
+from priors.learn.pair import Pair
 from priors.types import Image
 
 SURFACE_PX = 1.0
@@ -84,7 +85,7 @@ def resize(pair: Pair, top: int, left: int, window: tuple[int, int], size: tuple
         known=known,
         sky=(flags_there & 2).astype(np.bool_),
         weight=weight,
-        camera=None if pair.camera is None else moved(pair.camera, top, left, window, size),
+        camera=None if pair.camera is None else geometry.resize(geometry.crop(pair.camera, top, left, window), size),
         # depth = fx * baseline / disparity still holds: fx and disparity scale alike
     )
 

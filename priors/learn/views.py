@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 
 from priors import geometry
+from priors.colours import as_rgb
 from priors.learn.completion import vary
 from priors.learn.loop import Batch
 from priors.types import Camera, FloatMap, Image
@@ -73,14 +74,12 @@ def nearest(map_: npt.NDArray[Kind], size: tuple[int, int]) -> npt.NDArray[Kind]
 
 def repaint(view: View, rng: np.random.Generator) -> View:
     """Change exposure, colour, sharpness and noise as cameras do."""
-    image = view.image if view.image.ndim == 3 else np.repeat(view.image[..., None], 3, axis=2)
-    return View(vary(image, rng), view.camera, view.depth_m, view.sky, view.source)
+    return View(vary(as_rgb(view.image), rng), view.camera, view.depth_m, view.sky, view.source)
 
 
 def collate(views: Sequence[View]) -> Batch:
     """Stack views of one size: image (b, 3, h, w) in [0, 1], K (b, 3, 3), depth_m and sky (b, h, w)."""
-    images = [v.image if v.image.ndim == 3 else np.repeat(v.image[..., None], 3, axis=2) for v in views]
-    image = torch.from_numpy(np.stack(images)).permute(0, 3, 1, 2).float() / 255
+    image = torch.from_numpy(np.stack([as_rgb(view.image) for view in views])).permute(0, 3, 1, 2).float() / 255
     return {
         "image": image.contiguous(memory_format=torch.channels_last),
         "K": torch.from_numpy(np.stack([v.camera.K for v in views])).float(),

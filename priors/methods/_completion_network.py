@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from priors.colours import as_rgb
 from priors.nets import runtime
 from priors.nets.runtime import Ready, Runtime
 from priors.nets.trunk import MULTIPLE
@@ -39,7 +40,7 @@ def mend(
     """
     assert fill.confidence is not None
     rows = span(near)
-    colour = image[rows] if image.ndim == 3 else np.repeat(image[rows, :, None], 3, axis=2)
+    colour = as_rgb(image[rows])
     kind = torch.bfloat16 if ready.runtime == "bf16" else torch.float32
     seen = torch.from_numpy(_pad(colour)).permute(2, 0, 1)[None].to(kind) / 255
     maps: list[Tensor] = [

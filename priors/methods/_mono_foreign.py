@@ -26,6 +26,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.colours import as_rgb
 from priors.errors import DataError
 from priors.types import Camera, FloatMap, Image
 
@@ -127,7 +128,7 @@ class Foreign:
 
     def _feed(self, image: Image) -> tuple[npt.NDArray[np.float32], tuple[int, int]]:
         """Return the input (1, 3, h, w), and the part of it (height, width) that the image fills."""
-        image = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
+        image = as_rgb(image)
         height, width = image.shape[:2]
         d = self.description
         size = d.size or (-(-height // d.multiple) * d.multiple, -(-width // d.multiple) * d.multiple)

@@ -41,11 +41,16 @@ class Residual(nn.Module):
         return torch.relu(x + self.second(self.first(x)))
 
 
-def exact(layer: nn.Conv2d | nn.Conv3d, x: Tensor) -> Tensor:
-    """Convolve in float32 whatever the weights' type: where a logit's rounding would choose another surface."""
-    run = F.conv2d if isinstance(layer, nn.Conv2d) else F.conv3d
-    bias = None if layer.bias is None else layer.bias.float()
-    return run(x.float(), layer.weight.float(), bias, layer.stride, layer.padding, layer.dilation)
+def exact(head: nn.Sequential, x: Tensor) -> Tensor:
+    """Run a head of two layers, the last one in float32 whatever its weights' type; returns float32.
+
+    Rounded to eight bits, a logarithm would be a percent of depth, and a logit would choose another surface.
+    """
+    first, last = head
+    assert isinstance(last, nn.Conv2d | nn.Conv3d) and last.bias is not None
+    run = F.conv2d if isinstance(last, nn.Conv2d) else F.conv3d
+    values = first(x).float(), last.weight.float(), last.bias.float()
+    return run(*values, last.stride, last.padding, last.dilation)
 
 
 def fold(net: Net) -> Net:

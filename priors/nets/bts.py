@@ -17,7 +17,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import conv
+from priors.nets.blocks import conv, exact
 from priors.nets.trunk import SIZES, Trunk, normalise, pad
 
 FOCAL_PX = 721.5377
@@ -188,13 +188,6 @@ def head(inputs: int, outputs: int) -> nn.Sequential:
     nn.init.normal_(last.weight, std=1e-3)
     nn.init.zeros_(last.bias)  # type: ignore[arg-type]
     return nn.Sequential(conv(inputs, 32), last)
-
-
-def exact(layers: nn.Sequential, features: Tensor) -> Tensor:
-    """Run a head with its last layer in float32: eight bits of a logarithm would be steps of a percent in depth."""
-    last = layers[1]
-    assert isinstance(last, nn.Conv2d) and last.bias is not None
-    return F.conv2d(layers[0](features).float(), last.weight.float(), last.bias.float()).float()
 
 
 def planar(layer: nn.Conv2d, features: Tensor) -> Tensor:

@@ -65,8 +65,7 @@ class Quarter(nn.Module):
         match = lookup(a, b, position, self.groups)
         where = ((position - disparity_px[..., None]) * 0.2).to(match.dtype)[:, None]
         volume = self.first(torch.cat([match, where], dim=1)) * per_pixel(torch.sigmoid(self.gate(left)))
-        below = self.down(volume)
-        volume = volume + self.up(double(below)[:, :, : volume.shape[2], : volume.shape[3]])
+        volume = volume + self.up(double(self.down(volume)))
         logits = self.last(volume).squeeze(1)
         return Matched(*expect(logits, position), logits, position)
 

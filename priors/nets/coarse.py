@@ -46,9 +46,7 @@ class Coarse(nn.Module):
         coarsest = self.fuse[1](torch.cat([self.down[1](sixteenth), coarsest], dim=1))
         sixteenth = sixteenth + self.up[1](double(coarsest))
         eighth = eighth + self.up[0](double(sixteenth))
-        mix, classify = self.last
-        assert isinstance(classify, nn.Conv3d)
-        logits = exact(classify, mix(eighth)).squeeze(1)
+        logits = exact(self.last, eighth).squeeze(1)
         position = torch.arange(planes, device=logits.device, dtype=torch.float32)
         disparity, sigma = expect(logits, position, window=2)
         return Matched(disparity, sigma, logits, position)

@@ -1,6 +1,6 @@
 """Stereo networks as ONNX files, and onnxruntime to run them.
 
-    python -m priors.nets.export --net cfnet --size m --image-size 1242x375 --max-disparity 192 --out cfnet-m.onnx
+    python -m priors.nets.export --net cfnet --size s --image-size 1242x375 --max-disparity 192 --out cfnet-s.onnx
 
 A file holds one image size (rounded up to multiples of 32) and one disparity range: the volumes' shapes follow from
 them. `priors build --stereo.weights FILE.onnx` runs it on images that are no larger; `--stereo.runtime onnx` with

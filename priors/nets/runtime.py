@@ -16,6 +16,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from priors.colours import as_rgb
 from priors.errors import DataError
 from priors.nets import weights
 from priors.nets.blocks import channels_last, fold
@@ -131,8 +132,7 @@ def create(name: str, size: str) -> nn.Module:
 
 def as_input(image: Image) -> Tensor:
     """Turn an image (h, w, 3) or (h, w) uint8 into (1, 3, h, w) float32 in [0, 1]; grey is repeated."""
-    colour = image if image.ndim == 3 else np.repeat(image[..., None], 3, axis=2)
-    return torch.from_numpy(np.ascontiguousarray(colour)).permute(2, 0, 1)[None].float() / 255
+    return torch.from_numpy(np.ascontiguousarray(as_rgb(image))).permute(2, 0, 1)[None].float() / 255
 
 
 def as_map(tensor: Tensor) -> npt.NDArray[np.float32]:
