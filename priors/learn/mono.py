@@ -26,6 +26,7 @@ from priors.methods._mono_known import trusted
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
 from priors.nets import bts
+from priors.nets.mobile import Mobile
 from priors.types import Image
 
 CROP, ZOOM = (256, 512), (0.65, 1.5)
@@ -45,12 +46,14 @@ class MonoConfig:
     """Folder that holds kitti_raw_train, kitti_odometry or both; none: streets only."""
     cache: Path = Path("cache")
     """Where the stereo depth of the odometry pairs is kept."""
-    real_share: float = 0.4
+    real_share: float = 0.5
     """Share of real images in a batch."""
     batch: int = 4
     """Crops in a step."""
     size: str = "m"
     """The network's size."""
+    imagenet: bool = True
+    """Start size m from the ImageNet weights of the package that mobile.IMAGENET names."""
 
 
 @dataclass
@@ -62,7 +65,9 @@ class MonoTask:
 
     def __post_init__(self) -> None:
         torch.manual_seed(0)
-        self.net = bts.Bts(self.config.size)
+        net = self.net = bts.Bts(self.config.size)
+        if self.config.imagenet and isinstance(net.trunk, Mobile):
+            net.trunk.take_imagenet()
         self._streets = Streets(self.config.street)
         validation = self._streets.validation
         self._held = [read_street(path) for path in validation[:: max(1, len(validation) // 12)]]

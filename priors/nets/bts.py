@@ -17,7 +17,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from priors.errors import DataError
 from priors.nets.blocks import conv, exact
+from priors.nets.mobile import Mobile
 from priors.nets.trunk import SIZES, Trunk, normalise, pad
 
 FOCAL_PX = 721.5377
@@ -26,6 +28,8 @@ NEAREST_M, FARTHEST_M = 0.5, 400.0
 """Bounds of a plane's depth at the middle of its cell, as that camera would have it."""
 SMALLEST_SCALE, LARGEST_SCALE = -6.0, 2.0
 """Bounds of the logarithm of the predicted scale."""
+CHANNELS = SIZES["s"]
+ENCODERS: dict[str, type[Trunk] | type[Mobile]] = {"s": Trunk, "m": Mobile}
 WIDTH = 128
 RATES = (3, 6, 12, 18)
 LARGEST_LOGIT = 20.0
@@ -52,10 +56,15 @@ class Bts(nn.Module):
     """Metric depth, sky and expected error from one image and its camera."""
 
     def __init__(self, size: str = "m") -> None:
+        """Make size s, on the trunk that all networks share, or m, on an encoder that ImageNet has taught.
+
+        Raises DataError for any other size.
+        """
         super().__init__()
-        channels = SIZES[size]
-        quarter, eighth = channels[:2]
-        self.trunk = Trunk(channels, inputs=5)
+        if size not in ENCODERS:
+            raise DataError(f"bts has sizes {', '.join(ENCODERS)}, not {size}")
+        self.trunk = ENCODERS[size](CHANNELS, inputs=5)
+        quarter, eighth = CHANNELS[:2]
         self.context = Aspp(eighth)
         self.coarse = head(WIDTH, 3)
         self.lower = conv(WIDTH, quarter, 1)

@@ -27,7 +27,7 @@ def fuse(net: Net) -> Net:
         if isinstance(child, Residual):
             setattr(net, name, FusedResidual(child))
         elif isinstance(child, nn.Sequential) and _is_pair(child):
-            setattr(net, name, FusedConv(_conv_of(child)))
+            setattr(net, name, FusedConv(_conv_of(child), 6.0 if isinstance(child[-1], nn.ReLU6) else None))
         elif isinstance(child, nn.ModuleList | nn.Sequential) or len(list(child.children())):
             fuse(child)
     return net
@@ -46,8 +46,10 @@ def available() -> bool:
 class FusedConv(nn.Module):
     """ReLU of a convolution (of a convolution plus a given map), weights laid out for this machine once."""
 
-    def __init__(self, conv: nn.Conv2d | nn.Conv3d) -> None:
+    def __init__(self, conv: nn.Conv2d | nn.Conv3d, most: float | None = None) -> None:
+        """Take a convolution, and where the ReLU ends: 6 for a ReLU6."""
         super().__init__()
+        self.groups, self.bound = conv.groups, ("relu", []) if most is None else ("hardtanh", [0.0, most])
         self.padding, self.stride, self.dilation = (
             list(map(int, p)) for p in (conv.padding, conv.stride, conv.dilation)
         )
@@ -59,11 +61,11 @@ class FusedConv(nn.Module):
 
     def forward(self, x: Tensor, plus: Tensor | None = None) -> Tensor:
         """Return relu(conv(x) + plus), (b, channels, ...)."""
-        shape = self.padding, self.stride, self.dilation, 1
+        shape = self.padding, self.stride, self.dilation, self.groups
         if plus is None:
-            return torch.ops.mkldnn._convolution_pointwise(x, self.weight, self.bias, *shape, "relu", [], "")
+            return torch.ops.mkldnn._convolution_pointwise(x, self.weight, self.bias, *shape, *self.bound, "")
         run = torch.ops.mkldnn._convolution_pointwise.binary
-        return run(x, plus, self.weight, self.bias, *shape, "add", 1.0, "relu", [], "")
+        return run(x, plus, self.weight, self.bias, *shape, "add", 1.0, *self.bound, "")
 
 
 class FusedResidual(nn.Module):
@@ -80,7 +82,7 @@ class FusedResidual(nn.Module):
 
 def _is_pair(sequence: nn.Sequential) -> bool:
     kinds = [type(layer) for layer in sequence if not isinstance(layer, nn.Identity)]
-    return kinds in ([nn.Conv2d, nn.ReLU], [nn.Conv3d, nn.ReLU])
+    return kinds in ([nn.Conv2d, nn.ReLU], [nn.Conv2d, nn.ReLU6], [nn.Conv3d, nn.ReLU])
 
 
 def _conv_of(sequence: nn.Sequential) -> nn.Conv2d | nn.Conv3d:

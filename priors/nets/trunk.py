@@ -21,27 +21,37 @@ MULTIPLE = 32
 """Heights and widths inside a network are multiples of this."""
 
 
-class Trunk(nn.Module):
-    """Features of an image at four scales, each knowing what the coarser ones saw."""
+class Pyramid(nn.Module):
+    """The way back up: tells the finer levels of a pyramid of features what the coarser ones saw."""
 
-    def __init__(self, channels: tuple[int, int, int, int] = SIZES["m"], inputs: int = 3) -> None:
+    def __init__(self, channels: tuple[int, int, int, int]) -> None:
         super().__init__()
         self.channels = channels
-        self.stem = nn.Sequential(conv(16 * inputs, channels[0]), Residual(channels[0]))
-        steps = list(pairwise(channels))
-        self.down = nn.ModuleList(nn.Sequential(conv(a, b, stride=2), Residual(b)) for a, b in steps)
-        self.lower = nn.ModuleList(conv(b, a, 1) for a, b in steps)
+        self.lower = nn.ModuleList(conv(b, a, 1) for a, b in pairwise(channels))
         self.up = nn.ModuleList(nn.Sequential(conv(2 * a, a), Residual(a)) for a in channels[:-1])
+
+    def join(self, levels: list[Tensor]) -> list[Tensor]:
+        """Mend features (b, channels, h, w), finest first, from the coarsest on; the list is changed."""
+        for index in range(len(levels) - 2, -1, -1):
+            above = F.interpolate(self.lower[index](levels[index + 1]), scale_factor=2.0, mode="nearest")
+            levels[index] = self.up[index](torch.cat([above, levels[index]], dim=1))
+        return levels
+
+
+class Trunk(Pyramid):
+    """Features of an image at four scales."""
+
+    def __init__(self, channels: tuple[int, int, int, int] = SIZES["m"], inputs: int = 3) -> None:
+        super().__init__(channels)
+        self.stem = nn.Sequential(conv(16 * inputs, channels[0]), Residual(channels[0]))
+        self.down = nn.ModuleList(nn.Sequential(conv(a, b, stride=2), Residual(b)) for a, b in pairwise(channels))
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """Turn images (b, inputs, h, w), h and w multiples of 32, into features at 1/4, 1/8, 1/16 and 1/32."""
         levels = [self.stem(F.pixel_unshuffle(image, 4))]
         for down in self.down:
             levels.append(down(levels[-1]))
-        for index in range(len(levels) - 2, -1, -1):
-            above = F.interpolate(self.lower[index](levels[index + 1]), scale_factor=2.0, mode="nearest")
-            levels[index] = self.up[index](torch.cat([above, levels[index]], dim=1))
-        return levels
+        return self.join(levels)
 
 
 def pad(image: Tensor) -> Tensor:

