@@ -35,6 +35,7 @@ class Standin(nn.Module):
 
     def forward(self, left: Tensor, right: Tensor, largest_px: int) -> Out:
         self.asked.append(largest_px)
+        left, right = (view / 255 if view.dtype == torch.uint8 else view for view in (left, right))
         dtype = self.mix.weight.dtype
         left, right = self.mix(left.to(dtype)).float(), self.mix(right.to(dtype)).float()
         padded = F.pad(right, (largest_px, 0, 0, 0), mode="replicate")

@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from priors.nets import matching, volume
-from priors.nets.blocks import Residual, channels_last, conv, fold
+from priors.nets.blocks import Exact, Residual, channels_last, conv, conv3d, fold
 from priors.nets.cfnet import Cfnet, Range
 from priors.nets.fused import available, fuse
+from priors.nets.intake import take_in
 from priors.nets.pcwnet import Pcwnet
 from priors.nets.trunk import Trunk, pad
 from priors.nets.upsample import convex
@@ -84,6 +85,57 @@ def test_a_shift_by_a_constant_moves_columns() -> None:
 def test_unit_features_have_groups_of_length_one() -> None:
     features = volume.unit(torch.randn(1, 8, 2, 3) * 100, 2)
     torch.testing.assert_close(features.reshape(1, 2, 3, 2, 4).norm(dim=-1), torch.ones(1, 2, 3, 2))
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6), planes=st.integers(1, 40), window=st.sampled_from([None, 0, 2]), own=st.booleans())
+def test_the_kernels_of_distributions_equal_plain_torch(seed: int, planes: int, window: int | None, own: bool) -> None:
+    generator = torch.Generator().manual_seed(seed)
+    logits = torch.randn(1, 5, 300, planes, generator=generator) * 20  # more pixels than a stretch holds
+    positions = torch.rand(1, 5, 300, planes, generator=generator) if own else torch.arange(float(planes))
+    features = torch.randn(2, 8, 3, 4, generator=generator) * 10
+    features[0, :4, 0, 0] = 0  # a group without length
+    with torch.no_grad():
+        ours, length_one = matching.expect(logits, positions, window), matching.unit(features, 2)
+    for found, expected in zip(ours, volume.expect(logits, positions, window), strict=True):
+        torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(length_one, volume.unit(features, 2))
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6), kind=st.sampled_from([torch.float32, torch.bfloat16]), height=st.integers(1, 70))
+def test_bytes_go_in_as_floats_do(seed: int, kind: torch.dtype, height: int) -> None:
+    left, right = torch.randint(0, 256, (2, 1, 3, height, 45), generator=torch.Generator().manual_seed(seed))
+    expected = take_in(left.float() / 255, right.float() / 255, kind)
+    with torch.no_grad():
+        found = take_in(left.byte(), right.byte(), kind)
+    for ours, theirs, twin in zip(found, expected, take_in(left.byte(), right.byte(), kind), strict=True):
+        assert ours.dtype == kind
+        torch.testing.assert_close(ours, theirs, atol=1e-6, rtol=0 if kind == torch.float32 else 2**-7)
+        assert torch.equal(twin, theirs)
+
+
+def test_flat_matches_are_matches() -> None:
+    pair = random_pair(8)
+    expected = volume.lookup(*pair, 2)
+    for grad in (torch.no_grad(), torch.enable_grad()):
+        with grad:
+            found = matching.lookup_flat(*pair, 2)
+        torch.testing.assert_close(found.unflatten(3, (2, 4)).permute(0, 3, 1, 2, 4), expected, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.skipif(not available(), reason="this torch build has no fused convolutions")
+def test_a_fused_head_is_as_exact_as_float32() -> None:
+    torch.manual_seed(0)
+    head = Exact(conv3d(16, 16), nn.Conv3d(16, 1, 3, padding=1)).eval()
+    volume_ = torch.randn(1, 16, 6, 20, 8).to(torch.bfloat16, memory_format=torch.channels_last_3d)
+    with torch.inference_mode():
+        fold(head).to(torch.bfloat16)
+        expected, rounded = head(volume_), nn.Sequential(*head)(volume_)
+        found = fuse(nn.ModuleList([head]))[0](volume_)
+    assert found.dtype == torch.float32
+    error = (found - expected).abs().max()
+    assert error < 0.02 * (rounded.float() - expected).abs().max(), error
 
 
 def test_mean_and_deviation_of_a_distribution() -> None:
@@ -219,7 +271,7 @@ def test_the_fused_kernel_and_plain_torch_give_the_same_disparity(
     pair = torch.rand(2, 1, 3, 64, 128)
     with torch.inference_mode():
         ours = net(*pair, 64).disparity_px
-        for module in ("cfnet", "pcwnet"):
-            monkeypatch.setattr(f"priors.nets.{module}.lookup", volume.lookup)
-        monkeypatch.setattr("priors.nets.coarse.correlate", volume.correlate)
+        for module in ("matching", "upsample"):
+            monkeypatch.setattr(f"priors.nets.{module}.without_gradient", lambda tensor: False)
+        monkeypatch.setattr("priors.nets.matching.on_cpu", lambda tensor: False)
         torch.testing.assert_close(net(*pair, 64).disparity_px, ours, atol=1e-3, rtol=1e-4)

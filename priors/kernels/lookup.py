@@ -17,21 +17,24 @@ def match(left: FloatMap, right: FloatMap, disparity_px: FloatMap, groups: int, 
     planes = disparity_px.shape[2]
     size = channels // groups
     for row in prange(rows):
+        product = np.empty(channels, np.float32)  # all channels first: a group is too short for the vector unit
         for x in range(width):
+            mine = left[row, x]
             for plane in range(planes):
                 column = x - disparity_px[row, x, plane]
                 if not (column >= 0 and column <= width - 1):
                     out[row, x, plane, :] = 0
                     continue
                 x0 = min(int(column), max(0, width - 2))
-                x1 = min(x0 + 1, width - 1)
+                near, far = right[row, x0], right[row, min(x0 + 1, width - 1)]
                 share = np.float32(column - x0)
+                for k in range(channels):
+                    product[k] = mine[k] * (near[k] + share * (far[k] - near[k]))
                 for group in range(groups):
-                    near, far = np.float32(0), np.float32(0)
+                    total = np.float32(0)
                     for k in range(group * size, (group + 1) * size):
-                        near += left[row, x, k] * right[row, x0, k]
-                        far += left[row, x, k] * right[row, x1, k]
-                    out[row, x, plane, group] = near + share * (far - near)
+                        total += product[k]
+                    out[row, x, plane, group] = total
 
 
 @njit(cache=True, nogil=True, fastmath=True, parallel=True)

@@ -34,9 +34,11 @@ class Network:
     """A stereo network that is ready to run."""
 
     run: Run
-    """Called with the pair (1, 3, h, w) and the disparities to search; returns disparity, sigma (px) and
-    doubt, each (h, w)."""
+    """Called with the pair (1, 3, h, w), as `take` makes it, and the disparities to search; returns disparity,
+    sigma (px) and doubt, each (h, w)."""
     calibration: Calibration
+    take: Callable[[Image], Tensor] = runtime.as_bytes
+    """How an image becomes what `run` takes."""
 
     def __call__(self, left: Image, right: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
         """Return the left view's disparity, px, 0 = none, and the probability that it is within 1 px (height, width).
@@ -53,7 +55,7 @@ class Network:
         small_left, small_right = shrink(left, halvings), shrink(right, halvings)
         scale = left.shape[1] / small_left.shape[1]
         largest_px = STEP_PX * -(-(int(max_disparity_px / scale) + 1) // STEP_PX)
-        found = self.run(runtime.as_input(small_left), runtime.as_input(small_right), largest_px)
+        found = self.run(self.take(small_left), self.take(small_right), largest_px)
         trust = self.calibration(*found)
         found_px = np.maximum(found[0], np.float32(LEAST_PX)) * np.float32(scale)
         if halvings:
@@ -74,11 +76,13 @@ def open_network(name: str, size: str, chosen: runtime.Runtime, file: Path | Non
 def _open(name: str, size: str, chosen: runtime.Runtime, path: Path, _digest: str) -> Network:
     if path.suffix == ".onnx":
         graph = Graph(path)
-        return Network(lambda left, right, largest_px: graph(left, right), Calibration.read(graph.about))
+        return Network(
+            lambda left, right, largest_px: graph(left, right), Calibration.read(graph.about), runtime.as_input
+        )
     ready = runtime.open_net(name, size, chosen, path)
     calibration = Calibration.read(ready.about)
     if chosen == "onnx":
-        return Network(Graphs(ready), calibration)
+        return Network(Graphs(ready), calibration, runtime.as_input)
 
     def run(left: Tensor, right: Tensor, largest_px: int) -> tuple[FloatMap, FloatMap, FloatMap]:
         found = ready(left, right, largest_px=largest_px)

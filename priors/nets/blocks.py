@@ -41,16 +41,27 @@ class Residual(nn.Module):
         return torch.relu(x + self.second(self.first(x)))
 
 
-def exact(head: nn.Sequential, x: Tensor) -> Tensor:
-    """Run a head of two layers, the last one in float32 whatever its weights' type; returns float32.
+class Exact(nn.Sequential):
+    """A head of two layers, the last one in float32 whatever its weights' type; returns float32.
 
     Rounded to eight bits, a logarithm would be a percent of depth, and a logit would choose another surface.
     """
-    first, last = head
-    assert isinstance(last, nn.Conv2d | nn.Conv3d) and last.bias is not None
-    run = F.conv2d if isinstance(last, nn.Conv2d) else F.conv3d
-    values = first(x).float(), last.weight.float(), last.bias.float()
-    return run(*values, last.stride, last.padding, last.dilation)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Run both."""
+        first, last = self
+        assert isinstance(last, nn.Conv2d | nn.Conv3d) and last.bias is not None
+        run = F.conv2d if isinstance(last, nn.Conv2d) else F.conv3d
+        values = first(x).float(), last.weight.float(), last.bias.float()
+        return run(*values, last.stride, last.padding, last.dilation)
+
+
+def side_by_side(first: Tensor, *others: Tensor) -> Tensor:
+    """Join maps (b, h, w, c) to (b, sum of c, h, w), channels-last, of the first one's type.
+
+    Joined in this layout every pixel is a few short copies; across layouts torch would transpose everything, twice.
+    """
+    return torch.cat([first, *(other.to(first.dtype) for other in others)], dim=3).permute(0, 3, 1, 2)
 
 
 def fold(net: Net) -> Net:

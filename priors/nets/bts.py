@@ -18,7 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors.errors import DataError
-from priors.nets.blocks import conv, exact
+from priors.nets.blocks import Exact, conv
 from priors.nets.mobile import Mobile
 from priors.nets.trunk import SIZES, Trunk, normalise, pad
 
@@ -92,7 +92,7 @@ class Bts(nn.Module):
         guide = F.pixel_shuffle(log_m - torch.log(tilt(slopes, 2)), 2)
         below = F.interpolate(self.lower(context), scale_factor=2.0, mode="nearest")
         merged = self.merge(torch.cat([levels[0], below, guide.to(below.dtype)], dim=1))
-        change, slopes, sky, scale = torch.split(exact(self.fine, merged), [1, 2, 1, 1], dim=1)
+        change, slopes, sky, scale = torch.split(self.fine(merged), [1, 2, 1, 1], dim=1)
         inverse = torch.exp(-guide - change.clamp(-3, 3))
         fine = upsample(inverse, STEEPEST_QUARTER * torch.tanh(slopes), sky, planar(self.mix, merged), 4)[
             ..., :height, :width
@@ -110,7 +110,7 @@ class Bts(nn.Module):
     @staticmethod
     def _planes(layers: nn.Sequential, features: Tensor, steepest: float) -> tuple[Tensor, Tensor]:
         """Return the log depth (b, 1, h, w) of each cell's plane at its middle, and its slopes (b, 2, h, w)."""
-        raw = exact(layers, features)
+        raw = layers(features)
         low, high = math.log(NEAREST_M), math.log(FARTHEST_M)
         return low + (high - low) * torch.sigmoid(raw[:, :1]), steepest * torch.tanh(raw[:, 1:])
 
@@ -191,12 +191,12 @@ def offsets(factor: int, device: torch.device) -> tuple[Tensor, Tensor]:
     return places.repeat(factor), places.repeat_interleave(factor)
 
 
-def head(inputs: int, outputs: int) -> nn.Sequential:
+def head(inputs: int, outputs: int) -> Exact:
     """Return layers that end in a 1x1 convolution which starts at 0."""
     last = nn.Conv2d(32, outputs, 1)
     nn.init.normal_(last.weight, std=1e-3)
     nn.init.zeros_(last.bias)  # type: ignore[arg-type]
-    return nn.Sequential(conv(inputs, 32), last)
+    return Exact(conv(inputs, 32), last)
 
 
 def planar(layer: nn.Conv2d, features: Tensor) -> Tensor:

@@ -14,12 +14,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import Residual, conv, conv3d
+from priors.nets.blocks import Residual, conv, conv3d, side_by_side
 from priors.nets.coarse import WIDTHS, Coarse, double, per_pixel
-from priors.nets.matching import lookup
+from priors.nets.intake import take_in
+from priors.nets.matching import expect, lookup, lookup_flat, unit
 from priors.nets.outputs import Matched, StereoOut, finer
-from priors.nets.trunk import SIZES, Trunk, normalise, pad
-from priors.nets.volume import expect, unit
+from priors.nets.trunk import SIZES, Trunk
 
 QUARTER_PLANES, HALF_PLANES = 8, 6
 QUARTER_REACH_PX, HALF_REACH_PX = 2.5, 1.5
@@ -62,8 +62,8 @@ class Quarter(nn.Module):
         """Search around disparities (b, h, w) with deviations, in quarter pixels."""
         position = self.range(disparity_px, sigma_px)
         a, b = unit(self.head(left), self.groups), unit(self.head(right), self.groups)
-        match = lookup(a, b, position, self.groups)
-        where = ((position - disparity_px[..., None]) * 0.2).to(match.dtype)[:, None]
+        match = lookup(a, b, position, self.groups).to(left.dtype)
+        where = ((position - disparity_px[..., None]) * 0.2).to(left.dtype)[:, None]
         volume = self.first(torch.cat([match, where], dim=1)) * per_pixel(torch.sigmoid(self.gate(left)))
         volume = volume + self.up(double(self.down(volume)))
         logits = self.last(volume).squeeze(1)
@@ -92,7 +92,7 @@ class Half(nn.Module):
         """Search around disparities (b, h, w), in half pixels.
 
         Args:
-            left: image (b, 3, 2h, 2w) and features (b, c, h / 2, w / 2).
+            left: image, 2x2 pixels as channels (b, 12, h, w), and features (b, c, h / 2, w / 2).
             right: the same.
             disparity_px: (b, h, w) half pixels.
             sigmas_px: deviations (b, h, w) of the stages before, the last one first, half pixels.
@@ -103,17 +103,17 @@ class Half(nn.Module):
         position = self.range(disparity_px, sigmas_px[0])
         seen, other = self._features(*left), self._features(*right)
         a, b = unit(self.head(seen), self.groups), unit(self.head(other), self.groups)
-        match = lookup(a, b, position, self.groups).permute(0, 1, 4, 2, 3).flatten(1, 2)
-        spread = torch.stack([torch.log(s + 0.05) for s in sigmas_px], dim=1).to(seen.dtype)
-        where = (position - disparity_px[..., None]).permute(0, 3, 1, 2).to(seen.dtype)
-        body = self.body(torch.cat([seen, match, spread, where], dim=1))
+        match = lookup_flat(a, b, position, self.groups)
+        spread = torch.stack([torch.log(s + 0.05) for s in sigmas_px], dim=3)
+        where = position - disparity_px[..., None]
+        body = self.body(side_by_side(seen.permute(0, 2, 3, 1), match, spread, where))
         logits = self.logits(body).permute(0, 2, 3, 1)
         matched = Matched(*expect(logits, position), logits, position)
         return matched, self.doubt(body)[:, 0].float(), self.weights(body)
 
     def _features(self, image: Tensor, quarter: Tensor) -> Tensor:
         above = F.interpolate(self.lift(quarter), scale_factor=2.0, mode="nearest")
-        return self.features(torch.cat([F.pixel_unshuffle(image, 2), above], dim=1))
+        return self.features(side_by_side(image.permute(0, 2, 3, 1), above.permute(0, 2, 3, 1)))
 
 
 class Cfnet(nn.Module):
@@ -130,16 +130,16 @@ class Cfnet(nn.Module):
         self.fine = Half(channels[0])
 
     def forward(self, left: Tensor, right: Tensor, largest_px: int, stages: int = 3) -> StereoOut:
-        """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32).
+        """Match images (b, 3, h, w), [0, 1] or bytes, any size, over disparities 0 to largest_px (a multiple of 32).
 
         Training may ask for fewer stages, the first ones, at sizes that are multiples of 32.
         """
         height, width = left.shape[-2:]
         dtype = self.to_half.weight.dtype
-        images = pad(normalise(torch.cat([left, right]).float())).to(dtype)
-        both = self.trunk(images)
+        quarters, halves = take_in(left, right, dtype)
+        both = self.trunk.see(quarters)
         ours, theirs = [f.chunk(2)[0] for f in both], [f.chunk(2)[1] for f in both]
-        image, other = images.chunk(2)
+        image, other = halves.chunk(2)
         coarse = self.coarse(ours, theirs, largest_px // 8)
         if stages == 1:
             return StereoOut.unfinished([coarse], (height, width))

@@ -4,10 +4,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import conv3d, exact
-from priors.nets.matching import correlate
+from priors.nets.blocks import Exact, conv3d
+from priors.nets.matching import correlate, expect, unit
 from priors.nets.outputs import Matched
-from priors.nets.volume import concatenate, expect, unit
+from priors.nets.volume import concatenate
 
 GROUPS, GROUP_CHANNELS = 8, 8
 WIDTHS = {"s": 16, "m": 24, "l": 32}
@@ -28,14 +28,14 @@ class Coarse(nn.Module):
         self.fuse = nn.ModuleList([conv3d(4 * width, 2 * width), conv3d(4 * width, 2 * width)])
         self.up = nn.ModuleList([conv3d(2 * width, width), conv3d(2 * width, 2 * width)])
         self.gate = nn.Conv2d(channels[1], width, 1)
-        self.last = nn.Sequential(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
+        self.last = Exact(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
 
     def forward(self, left: list[Tensor], right: list[Tensor], planes: int) -> Matched:
         """Match features at 1/8, 1/16 and 1/32 over `planes` (a multiple of 4) disparities at 1/8."""
         volumes = []
         for level, head in enumerate(self.heads):
             a, b = unit(head(left[level + 1]), GROUPS), unit(head(right[level + 1]), GROUPS)
-            volume = correlate(a, b, GROUPS, planes >> level)
+            volume = correlate(a, b, GROUPS, planes >> level).to(left[0].dtype)
             if self.joined is not None:
                 pair = self.joined[level](left[level + 1]), self.joined[level](right[level + 1])
                 volume = torch.cat([volume, concatenate(*pair, planes >> level)], dim=1)
@@ -46,7 +46,7 @@ class Coarse(nn.Module):
         coarsest = self.fuse[1](torch.cat([self.down[1](sixteenth), coarsest], dim=1))
         sixteenth = sixteenth + self.up[1](double(coarsest))
         eighth = eighth + self.up[0](double(sixteenth))
-        logits = exact(self.last, eighth).squeeze(1)
+        logits = self.last(eighth).squeeze(1)
         position = torch.arange(planes, device=logits.device, dtype=torch.float32)
         disparity, sigma = expect(logits, position, window=2)
         return Matched(disparity, sigma, logits, position)

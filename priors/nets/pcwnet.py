@@ -12,12 +12,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import Residual, conv
+from priors.nets.blocks import Residual, conv, side_by_side
 from priors.nets.coarse import WIDTHS, Coarse
-from priors.nets.matching import lookup
+from priors.nets.intake import take_in
+from priors.nets.matching import lookup_flat, unit
 from priors.nets.outputs import Matched, StereoOut, finer
-from priors.nets.trunk import SIZES, Trunk, normalise, pad
-from priors.nets.volume import shift, unit
+from priors.nets.trunk import SIZES, Trunk
+from priors.nets.volume import shift
 
 JOINED = 8
 GROUPS = 2
@@ -46,10 +47,10 @@ class Warping(nn.Module):
         a, b = unit(self.head(left), GROUPS), unit(self.head(right), GROUPS)
         here_px = disparity_px.detach()
         step = torch.arange(-self.reach_px, self.reach_px + 1, device=left.device, dtype=torch.float32)
-        volume = lookup(a, b, here_px[..., None] + step, GROUPS).permute(0, 1, 4, 2, 3).flatten(1, 2)
-        difference = (a - shift(b, here_px)).permute(0, 3, 1, 2)
-        known = torch.stack([here_px * 0.05, torch.log(sigma_px.detach() + 0.05)], dim=1).to(left.dtype)
-        body = self.body(self.first(torch.cat([left, difference, volume, known], dim=1)))
+        volume = lookup_flat(a, b, here_px[..., None] + step, GROUPS)
+        difference = a - shift(b, here_px)
+        known = torch.stack([here_px * 0.05, torch.log(sigma_px.detach() + 0.05)], dim=3)
+        body = self.body(self.first(side_by_side(left.permute(0, 2, 3, 1), difference, volume, known)))
         refined = (disparity_px + self.change(body)[:, 0].float()).clamp(min=0)
         return refined, self.weights(body), body
 
@@ -70,13 +71,13 @@ class Pcwnet(nn.Module):
         self.doubt = nn.Conv2d(32, 1, 3, padding=1)
 
     def forward(self, left: Tensor, right: Tensor, largest_px: int, stages: int = 3) -> StereoOut:
-        """Match images (b, 3, h, w) in [0, 1], any size, over disparities 0 to largest_px (a multiple of 32).
+        """Match images (b, 3, h, w), [0, 1] or bytes, any size, over disparities 0 to largest_px (a multiple of 32).
 
         Training may ask for fewer stages, the first ones, at sizes that are multiples of 32.
         """
         height, width = left.shape[-2:]
-        images = pad(normalise(torch.cat([left, right]).float())).to(self.to_quarter.weight.dtype)
-        levels = self.trunk(images)
+        quarters, halves = take_in(left, right, self.to_quarter.weight.dtype)
+        levels = self.trunk.see(quarters)
         ours, theirs = [f.chunk(2)[0] for f in levels], [f.chunk(2)[1] for f in levels]
         coarse = self.coarse(ours, theirs, largest_px // 8)
         if stages == 1:
@@ -87,7 +88,7 @@ class Pcwnet(nn.Module):
             return StereoOut.unfinished([coarse, Matched(disparity4, sigma)], (height, width))
         disparity, sigma = finer([disparity4, sigma], weights)
         above = F.interpolate(self.lift(levels[0]), scale_factor=2.0, mode="nearest")
-        a, b = self.features(torch.cat([F.pixel_unshuffle(images, 2), above], dim=1)).chunk(2)
+        a, b = self.features(torch.cat([halves, above], dim=1)).chunk(2)
         disparity2, weights, body = self.fine(a, b, disparity, sigma)
         full, sigma = finer([disparity2, sigma], weights)
         doubt = F.interpolate(self.doubt(body).float(), scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]

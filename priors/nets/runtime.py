@@ -130,9 +130,14 @@ def create(name: str, size: str) -> nn.Module:
     return made
 
 
+def as_bytes(image: Image) -> Tensor:
+    """Turn an image (h, w, 3) or (h, w) uint8 into (1, 3, h, w) uint8, channels-last; grey is repeated."""
+    return torch.from_numpy(np.ascontiguousarray(as_rgb(image))).permute(2, 0, 1)[None]
+
+
 def as_input(image: Image) -> Tensor:
     """Turn an image (h, w, 3) or (h, w) uint8 into (1, 3, h, w) float32 in [0, 1]; grey is repeated."""
-    return torch.from_numpy(np.ascontiguousarray(as_rgb(image))).permute(2, 0, 1)[None].float() / 255
+    return as_bytes(image).float() / 255
 
 
 def as_map(tensor: Tensor) -> npt.NDArray[np.float32]:

@@ -48,7 +48,11 @@ class Trunk(Pyramid):
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """Turn images (b, inputs, h, w), h and w multiples of 32, into features at 1/4, 1/8, 1/16 and 1/32."""
-        levels = [self.stem(F.pixel_unshuffle(image, 4))]
+        return self.see(F.pixel_unshuffle(image, 4))
+
+    def see(self, quarter: Tensor) -> list[Tensor]:
+        """Do the same with 4x4 pixels as channels: (b, 16 * inputs, h / 4, w / 4)."""
+        levels = [self.stem(quarter)]
         for down in self.down:
             levels.append(down(levels[-1]))
         return self.join(levels)

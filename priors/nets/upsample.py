@@ -4,6 +4,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from priors.nets.dispatch import without_gradient
+
 LARGEST = 30.0
 
 
@@ -18,7 +20,7 @@ def convex(values: Tensor, weights: Tensor, factor: int) -> Tensor:
     Returns:
         (b, c, factor * h, factor * w) float32, each value between the least and the largest of its 3x3 neighbours.
     """
-    if values.device.type == "cpu" and not torch.is_grad_enabled() and not is_traced():
+    if without_gradient(values):
         return _on_cpu(values, weights, factor)
     batch, channels, height, width = values.shape
     logits = weights.permute(0, 2, 3, 1).reshape(batch, height, width, factor * factor, 9)
@@ -42,8 +44,3 @@ def _on_cpu(values: Tensor, weights: Tensor, factor: int) -> Tensor:
     out = torch.empty(batch, channels, factor * height, factor * width)
     kernels.upsample(values.float().contiguous().numpy(), share.numpy(), factor, out.numpy())
     return out
-
-
-def is_traced() -> bool:
-    """Tell whether torch is writing down the network for export: then only plain torch will do."""
-    return bool(torch.onnx.is_in_onnx_export() or torch.compiler.is_compiling())

@@ -1,0 +1,26 @@
+"""Images as networks take them, in one pass over memory; the readable twin is nets/intake.py in plain torch."""
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from numba import njit, prange
+
+
+@njit(cache=True, nogil=True, parallel=True)
+def unshuffle(images: npt.NDArray[np.uint8], table: npt.NDArray[Any], factor: int, out: npt.NDArray[Any]) -> None:
+    """Write table[image] with factor x factor pixels as channels: (b, h, w, c) -> (b, rows, columns, c * factor^2).
+
+    The order of channels is that of torch's pixel_unshuffle; right and bottom edges are repeated to fill `out`.
+    """
+    height, width, channels = images.shape[1:]
+    rows, columns = out.shape[1:3]
+    for line in prange(images.shape[0] * rows):
+        b, row = line // rows, line % rows
+        for dy in range(factor):
+            y = min(factor * row + dy, height - 1)
+            for column in range(columns):
+                for dx in range(factor):
+                    x = min(factor * column + dx, width - 1)
+                    for c in range(channels):
+                        out[b, row, column, (c * factor + dy) * factor + dx] = table[images[b, y, x, c]]

@@ -1,0 +1,42 @@
+"""What stereo networks take in: pairs in [0, 1] or bytes, any size, brought to two scales by pixel-unshuffle."""
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from priors.nets.dispatch import without_gradient
+from priors.nets.trunk import MULTIPLE, normalise, pad
+
+
+def take_in(left: Tensor, right: Tensor, kind: torch.dtype) -> tuple[Tensor, Tensor]:
+    """Normalise a pair, pad it to multiples of 32 and turn pixels into channels.
+
+    Args:
+        left: (b, 3, h, w) in [0, 1], or uint8.
+        right: the same.
+        kind: of the results.
+
+    Returns:
+        Both views at a quarter and at half of the size: (2b, 48, h / 4, w / 4) and (2b, 12, h / 2, w / 2), left first.
+    """
+    images = torch.cat([left, right])
+    if images.dtype == torch.uint8:
+        if without_gradient(images):
+            return _unshuffle(images, kind, 4), _unshuffle(images, kind, 2)
+        images = images.float() / 255
+    images = pad(normalise(images.float())).to(kind)
+    return F.pixel_unshuffle(images, 4), F.pixel_unshuffle(images, 2)
+
+
+def _unshuffle(images: Tensor, kind: torch.dtype, factor: int) -> Tensor:
+    """Do the same in a kernel: 256 values are looked up, not computed."""
+    from priors.kernels import intake as kernels
+
+    batch, channels, *size = images.shape
+    rows, columns = (-(-side // MULTIPLE) * MULTIPLE // factor for side in size)
+    out = torch.empty(batch, rows, columns, channels * factor**2, dtype=kind)
+    table = normalise(torch.arange(256) / 255).to(kind)
+    same_size = {2: torch.int16, 4: torch.int32}[kind.itemsize]  # numpy has no bfloat16
+    plain = images.permute(0, 2, 3, 1).contiguous().numpy()
+    kernels.unshuffle(plain, table.view(same_size).numpy(), factor, out.view(same_size).numpy())
+    return out.permute(0, 3, 1, 2)
