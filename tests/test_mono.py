@@ -16,6 +16,7 @@ from priors import build
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.learn.adapt import AdaptConfig, adapt, training_views
+from priors.learn.measured import Measured
 from priors.learn.mono import loss, nearest_of_cells, silog
 from priors.learn.views import SKY, SURFACE, View, cut
 from priors.methods.mono import Mono
@@ -230,7 +231,7 @@ def test_adapting_learns_the_scene(net: bts.Bts) -> None:
     """On a scene unlike what it knows, the error of a view it did not see falls to a fraction."""
     views = [road(seed=n) for n in range(3)]
     before = {name: value.clone() for name, value in net.state_dict().items()}
-    adapted = adapt(net, views, AdaptConfig(steps=25, lr=4e-3, ema=0.8), bf16=False)
+    adapted = adapt(net, Measured(views), AdaptConfig(steps=25, lr=4e-3, ema=0.8), bf16=False)
 
     def error(model: Any) -> float:
         other = road(seed=9)

@@ -1,26 +1,28 @@
 """Fine-tune the single-image network on the scene that it is asked about, for a bounded time.
 
-Supervised by what the scene's own training views have: their LiDAR sweep, or stereo where it is sure. Batch
-normalisation keeps the statistics it was trained with; the result is the running average of the weights.
+Supervised by what the scene's own training views have: depth that they know (measured.py), or that they show the same
+scene from posed places (video.py). Batch normalisation keeps the statistics it was trained with; the result is the
+running average of the weights.
 """
 
 import copy
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from priors.errors import DataError
-from priors.learn.mono import loss
-from priors.learn.views import View, collate, cut, repaint
-from priors.types import Drive, Frame
+from priors.learn.loop import Batch
+from priors.nets.bts import MonoOut
+from priors.types import Drive
 
-ZOOM = (0.75, 1.33)
-LARGEST_CROP = (256, 512)
-MULTIPLE = 32
+Read = TypeVar("Read")
+MOST_VIEWS = 40
+"""Frames that take part at most, spread evenly."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +43,24 @@ class AdaptConfig:
     """Decides the crops."""
 
 
-def training_views(count: int, chosen: Sequence[int], hold_out: str, most: int) -> list[int]:
+class Supervision(Protocol):
+    """What a scene teaches."""
+
+    @property
+    def measures(self) -> str:
+        """What the error in the progress is."""
+        ...
+
+    def batch(self, rng: np.random.Generator, count: int) -> Batch:
+        """Make `count` crops, with image (count, 3, h, w) and K (count, 3, 3) among what they hold."""
+        ...
+
+    def loss(self, out: MonoOut, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Return the loss of what the network says about a batch, and the error for the progress."""
+        ...
+
+
+def training_views(count: int, chosen: Sequence[int], hold_out: str, most: int | None = None) -> list[int]:
     """Return which of the chosen frames may take part: those not held out, thinned evenly to `most`.
 
     Args:
@@ -49,7 +68,7 @@ def training_views(count: int, chosen: Sequence[int], hold_out: str, most: int) 
         chosen: positions in the drive, in order.
         hold_out: start:stop:step as Python counts, over `chosen` (9::10: every 10th from the 10th on, as `nerf fit`
             holds out), or none.
-        most: how many to return at most.
+        most: how many to return at most; None: all.
     """
     try:
         parts = [int(part) if part else None for part in hold_out.split(":")] if hold_out != "none" else [0, 0]
@@ -59,29 +78,31 @@ def training_views(count: int, chosen: Sequence[int], hold_out: str, most: int) 
     kept = [index for index in chosen if index not in out]
     if not kept:
         raise DataError(f"--mono.hold-out {hold_out} leaves no frame of {count} to adapt on: hold out fewer")
-    picked = np.unique(np.linspace(0, len(kept) - 1, min(most, len(kept))).round().astype(int))
-    return [kept[index] for index in picked]
+    return kept if most is None else thin(kept, most)
 
 
-def gather(drive: Drive, indices: Sequence[int], read: Callable[[Frame], View], what: str) -> list[View]:
-    """Read the views; frames that lack something are left out, DataError where that leaves none."""
-    views, reason = [], ""
+def thin(indices: Sequence[int], most: int) -> list[int]:
+    """Pick at most `most` of them, evenly."""
+    picked = np.unique(np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int))
+    return [indices[index] for index in picked]
+
+
+def gather(drive: Drive, indices: Sequence[int], read: Callable[[int], Read], what: str) -> list[Read]:
+    """Read what frames teach; those for which that is a DataError are left out, DataError where none is left."""
+    found, reason = [], ""
     for index in indices:
         try:
-            view = read(drive[index])
+            found.append(read(index))
         except DataError as error:
             reason = reason or str(error)
-            continue
-        if np.any(view.depth_m > 0):
-            views.append(view)
-    if not views:
+    if not found:
         raise DataError(f"{drive.name}: no {what} to adapt to in any training frame{': ' if reason else ''}{reason}")
-    return views
+    return found
 
 
 def adapt(
     net: nn.Module,
-    views: Sequence[View],
+    supervision: Supervision,
     config: AdaptConfig,
     on_progress: Callable[[float, float], None] = lambda done, error: None,
     bf16: bool = True,
@@ -90,9 +111,9 @@ def adapt(
 
     Args:
         net: a Bts in float32.
-        views: images of one camera with the depth that is known.
+        supervision: what the scene teaches.
         config: how long.
-        on_progress: told now and then the share of the time that is used up, and the mean log error.
+        on_progress: told now and then the share of the time that is used up, and the supervision's error.
         bf16: whether to compute in bf16.
     """
     trained = copy.deepcopy(net).eval().requires_grad_(True)  # eval: batch normalisation keeps its statistics
@@ -100,15 +121,14 @@ def adapt(
     optimiser = torch.optim.AdamW(trained.parameters(), lr=config.lr, weight_decay=0.0)
     device = next(trained.parameters()).device
     rng = np.random.default_rng(config.seed)
-    size = crop_size(views)
     started, step, told, error = time.monotonic(), 0, 0.0, float("nan")
     while (done := _progress(config, step, started)) < 1:
         for group in optimiser.param_groups:
             group["lr"] = config.lr * min(1.0, 10 * done + 0.05) * (1 - 0.95 * done)
-        crops = [repaint(cut(views[int(rng.integers(len(views)))], rng, size, ZOOM), rng) for _ in range(config.batch)]
-        batch = {name: value.to(device) for name, value in collate(crops).items()}
+        batch = {name: value.to(device) for name, value in supervision.batch(rng, config.batch).items()}
         with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-            total, parts = loss(trained(batch["image"], batch["K"]), batch)
+            out = trained(batch["image"], batch["K"])
+        total, wrong = supervision.loss(out, batch)
         optimiser.zero_grad(set_to_none=True)
         total.backward()
         if torch.isfinite(torch.nn.utils.clip_grad_norm_(trained.parameters(), 1.0)):
@@ -118,20 +138,13 @@ def adapt(
         with torch.no_grad():
             for ours, theirs in zip(average.parameters(), trained.parameters(), strict=True):
                 ours.lerp_(theirs, 1 - keep)
-        now = float(parts["log_error"])
+        now = float(wrong)
         error = now if np.isnan(error) else 0.9 * error + 0.1 * now
         if done - told >= 0.1:
             told = done
             on_progress(done, error)
     on_progress(1.0, error)
     return average
-
-
-def crop_size(views: Sequence[View]) -> tuple[int, int]:
-    """Return the crop's (height, width): multiples of 32 that every view holds, LARGEST_CROP at most."""
-    sizes = np.array([view.camera.size for view in views])
-    height, width = np.minimum(np.maximum(sizes.min(axis=0) // MULTIPLE, 1) * MULTIPLE, LARGEST_CROP)
-    return int(height), int(width)
 
 
 def _progress(config: AdaptConfig, step: int, started: float) -> float:

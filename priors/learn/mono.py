@@ -151,13 +151,13 @@ def read_real(data: Path, cache: Path) -> Iterator[View]:
             yield View(image, frame.camera, depth_m, sky, sequence)
 
 
-def predict(net: nn.Module, view: View) -> bts.MonoOut:
+def predict(net: nn.Module, view: View, bf16: bool = True) -> bts.MonoOut:
     """Run a network on a whole view; the maps are (1, h, w) on the CPU."""
     batch = collate([view])
     device = next(net.parameters()).device
-    with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16):
+    with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16, enabled=bf16):
         out: bts.MonoOut = net(batch["image"].to(device), batch["K"].to(device))
-    return bts.MonoOut(out.depth_m.cpu(), out.sky_logit.float().cpu(), out.log_scale.cpu(), out.coarse_m.cpu())
+    return bts.MonoOut(*(map_.float().cpu() for map_ in (out.depth_m, out.sky_logit, out.log_scale, out.coarse_m)))
 
 
 def loss(out: bts.MonoOut, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:

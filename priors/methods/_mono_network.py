@@ -1,20 +1,18 @@
 """Our single-image network: loaded, run on a frame, and adapted to a drive."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
 
-import numpy as np
 import torch
 
 from priors.cache import key_of
 from priors.errors import DataError
-from priors.learn.adapt import AdaptConfig, adapt, gather
-from priors.learn.views import View, label_sky
-from priors.methods._mono_known import Known
+from priors.learn.adapt import AdaptConfig, adapt
+from priors.methods._mono_lessons import Lesson
 from priors.nets import runtime, weights
 from priors.nets.runtime import Ready, Runtime
-from priors.types import Camera, Drive, FloatMap, Frame, Image
+from priors.types import Camera, Drive, FloatMap, Image
 
 NAME = "bts"
 VERSION = 1
@@ -40,8 +38,7 @@ def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready:
 
 def adapted_weights(
     drive: Drive,
-    indices: Sequence[int],
-    known: Known,
+    lesson: Lesson,
     start: Path,
     size: str,
     config: AdaptConfig,
@@ -53,8 +50,7 @@ def adapted_weights(
 
     Args:
         drive: the drive.
-        indices: the frames that may take part.
-        known: what supervises.
+        lesson: what its frames teach.
         start: weights to start from.
         size: of the network.
         config: how long to adapt.
@@ -67,35 +63,28 @@ def adapted_weights(
         "start": weights.digest(start),
         "size": size,
         "drive": drive.fingerprint(),
-        "frames": [drive.ids[index] for index in indices],
-        "known": asdict(known),
+        "frames": lesson.frames,
+        "known": lesson.decides,
         "config": asdict(config),
     }
     path = folder / f"mono-{key_of(decides)}.safetensors"
     if path.is_file():
         on_note(f"mono: weights adapted before: {path}")
         return path
-    on_note(f"mono: reading {len(indices)} training frames with their {known.source} depth")
-    views = gather(drive, indices, lambda frame: as_view(frame, known), known.source)
+    bf16 = chosen in ("bf16", "cuda")
+    on_note(f"mono: reading {len(lesson.frames)} training frames with their {lesson.what}")
     net = runtime.create(NAME, size)
     weights.fill(net, weights.load(start), NAME, size)
-    net = net.to("cuda" if chosen == "cuda" else "cpu")
+    net = net.to("cuda" if chosen == "cuda" else "cpu").eval()
+    supervision = lesson.read(net, bf16)
 
     def tell(done: float, error: float) -> None:
-        on_note(f"mono: adapting to {len(views)} frames, {done:.0%}: mean log error {error:.3f}")
+        on_note(f"mono: adapting, {done:.0%}: {supervision.measures} {error:.3f}")
 
-    adapted = adapt(net, views, config, tell, bf16=chosen in ("bf16", "cuda"))
+    adapted = adapt(net, supervision, config, tell, bf16)
     if not all(bool(torch.isfinite(p).all()) for p in adapted.parameters()):
         raise DataError("mono: adapting diverged: choose --mono.adapt none, or other frames")
     if not path.is_file():  # another machine of this build may have been faster: all use the same
         about = {"net": NAME, "size": size, "adapted": {k: v for k, v in decides.items() if k != "known"}}
         weights.write(path, adapted, about)
     return path
-
-
-def as_view(frame: Frame, known: Known) -> View:
-    """Return a frame as what the network learns from."""
-    image, depth_m = frame.image(), known(frame)
-    if depth_m.shape != image.shape[:2]:
-        raise DataError(f"frame {frame.id}: image {image.shape[:2]} and depth {depth_m.shape} differ in size")
-    return View(image, frame.camera, np.asarray(depth_m, np.float32), label_sky(image, depth_m), known.source)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 LARGEST_M = 250.0  # what a depth PNG holds, less a little
 TOLERANCE_M = 1.0
-MOST_VIEWS, MOST_ALIGNED = 40, 12
+MOST_ALIGNED = 12
 Predict = Callable[[Image, Camera], tuple[FloatMap, FloatMap | None]]
 """Image and camera -> values (height, width), 0 = none, and the expected error of their logarithm where known."""
 
@@ -37,8 +37,9 @@ class Mono:
     """Of our network: small is faster, large is better."""
     runtime: Literal["auto", "bf16", "fp32", "cuda"] = "auto"
     """What runs our network; auto: CUDA where there is one, bf16 on CPUs that have it, else fp32."""
-    adapt: Literal["none", "lidar", "stereo"] = "none"
-    """Fine-tune our network on this drive first: on each training frame's own sweep, or where its stereo is sure."""
+    adapt: Literal["none", "lidar", "stereo", "video"] = "none"
+    """Fine-tune our network on this drive first: on each training frame's own sweep, where its stereo is sure, or so
+    that posed training frames explain each other."""
     adapt_s: float = 75.0
     """How long to fine-tune, seconds. The result is kept beside the cache: a second run does not adapt again."""
     align: Literal["none", "scale", "scale-shift"] = "none"
@@ -122,17 +123,18 @@ class Mono:
         if self.adapt == "none" and (self.align == "none" or self.align_per == "frame"):
             return self
         from priors.build import select
-        from priors.learn.adapt import training_views
+        from priors.learn.adapt import MOST_VIEWS, thin, training_views
 
         chosen = select(drive.ids, self.frames)
-        indices = training_views(len(drive), chosen, self.hold_out, MOST_VIEWS)
+        indices = training_views(len(drive), chosen, self.hold_out)
         predict = self._adapted(drive, indices, folder, on_note) if self.adapt != "none" else self._predict()
         if self.align == "none":
             return lambda frame: self._finish(predict, frame)
         known = self._known(self.align_to, drive[indices[0]])
         if self.align_per == "frame":
             return lambda frame: self._finish(predict, frame, known=known)
-        picked = [drive[index] for index in indices[:: max(1, len(indices) // MOST_ALIGNED)]]
+        few = thin(indices, MOST_VIEWS)
+        picked = [drive[index] for index in few[:: max(1, len(few) // MOST_ALIGNED)]]
         samples = [(predict(frame.image(), frame.camera)[0], known(frame)) for frame in picked]
         line = self._fit(samples, f"{drive.name}, {len(picked)} frames")
         on_note(f"mono: one line for the drive, in {line.space}: scale {line.scale:.4g}, shift {line.shift:.4g}")
@@ -182,13 +184,17 @@ class Mono:
 
     def _adapted(self, drive: Drive, indices: list[int], folder: Path, on_note: Callable[[str], None]) -> Predict:
         from priors.learn.adapt import AdaptConfig
+        from priors.methods._mono_lessons import by_depth, by_video
         from priors.methods._mono_network import adapted_weights
         from priors.nets import weights
 
         start = weights.find("bts", self.size, self.weights)
-        known = self._known(self.adapt, drive[indices[0]])
+        if self.adapt == "video":
+            lesson = by_video(drive, indices)
+        else:
+            lesson = by_depth(drive, indices, self._known(self.adapt, drive[indices[0]]))
         config, chosen = AdaptConfig(seconds=self.adapt_s), self._choose_runtime()
-        return self._predict(adapted_weights(drive, indices, known, start, self.size, config, folder, on_note, chosen))
+        return self._predict(adapted_weights(drive, lesson, start, self.size, config, folder, on_note, chosen))
 
     def _fit(self, samples: list[tuple[FloatMap, FloatMap]], what: str) -> Alignment:
         """Fit one line to all the frames' values and known depth."""

@@ -1,0 +1,97 @@
+"""What a scene teaches by being seen from posed places: photometric supervision of metric depth.
+
+The poses are in metres, so the depth becomes metric. Where nothing tells depth (bare road, glare), the relief stays
+what the starting network makes of it; so do its sky and its expected error, of which a video says nothing.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from priors import geometry
+from priors.errors import DataError
+from priors.learn.clips import Clip, Source, crops
+from priors.learn.loop import Batch
+from priors.learn.mono import predict, steps
+from priors.learn.photometric import photometric, roughness
+from priors.learn.views import SKY, SURFACE, UNKNOWN, View, crop_size
+from priors.learn.weighing import mean
+from priors.nets.bts import MonoOut
+from priors.types import Drive, Frame
+
+ZOOM = (0.75, 1.33)
+SMALL = 192
+"""Crops less high than this are compared at full size, others at half, which is as good and four times as fast."""
+LEVELS = 3
+"""Sizes that are compared, each half the one before: the coarse ones see depth that is far off."""
+RELIEF, ROUGH = 0.1, 0.02
+"""Weights of the starting network's relief and of smoothness, that of the photometric error being WEIGHT."""
+WEIGHT = 10.0
+
+
+@dataclass(frozen=True)
+class Video:
+    """Supervises by views and their posed neighbours; see adapt.Supervision."""
+
+    clips: Sequence[Clip]
+    measures: str = "photometric error"
+
+    def batch(self, rng: np.random.Generator, count: int) -> Batch:
+        """Make a batch of crops."""
+        size = crop_size([clip.view for clip in self.clips])
+        zoom = float(np.exp(rng.uniform(*np.log(ZOOM))))  # one for all, so that the neighbours are of one size
+        picked = [self.clips[int(rng.integers(len(self.clips)))] for _ in range(count)]
+        return crops(picked, rng, size, (zoom, zoom), finest(size[0]))
+
+    def loss(self, out: MonoOut, batch: Batch) -> tuple[Tensor, Tensor]:
+        """Return photometric error, smoothness, and what keeps the rest as the starting network has it."""
+        surface, known = batch["sky"] == SURFACE, batch["sky"] != UNKNOWN
+        inverse, first = 1 / out.depth_m, finest(out.depth_m.shape[1])
+        strides = [first * 2**level for level in range(LEVELS)]
+        wrong = torch.stack([photometric(inverse, surface, batch, stride, first) for stride in strides]).mean()
+        change = out.depth_m.log() - batch["depth_m"].log()
+        relief = sum((steps(change, surface, stride) for stride in (1, 2, 4, 8)), change.new_zeros(()))
+        rough = roughness(inverse, batch["target"], surface)
+        is_sky = (batch["sky"] == SKY).float()
+        sky = mean(F.binary_cross_entropy_with_logits(out.sky_logit, is_sky, reduction="none"), known)
+        scale = mean((out.log_scale - batch["log_scale"]).abs(), surface)
+        return WEIGHT * wrong + RELIEF * relief + ROUGH * rough + 0.5 * sky + 0.1 * scale, wrong.detach()
+
+
+def finest(height: int) -> int:
+    """Return how many times smaller than crops of a height their pictures are compared."""
+    return 1 if height < SMALL else 2
+
+
+def read_clip(drive: Drive, index: int, near: tuple[int, int], start: nn.Module, bf16: bool) -> Clip:
+    """Read a frame, its neighbours and what the starting network says about it.
+
+    Args:
+        drive: the drive.
+        index: of the frame.
+        near: its neighbours'; all have poses.
+        start: the network, in eval mode.
+        bf16: whether to run it in bf16.
+    """
+    from priors.sky import sky_mask
+
+    frame = drive[index]
+    image = frame.image()
+    blank = View(image, frame.camera, np.ones(image.shape[:2], np.float32), np.zeros(image.shape[:2], np.int8), "video")
+    out = predict(start, blank, bf16)
+    ours, theirs = out.sky_logit[0].numpy() > 0, sky_mask(image)
+    sky = np.where(ours == theirs, np.where(ours, SKY, SURFACE), UNKNOWN).astype(np.int8)
+    view = View(image, frame.camera, out.depth_m[0].numpy(), sky, "video")
+    if not np.any(sky == SURFACE):
+        raise DataError(f"frame {frame.id}: nothing but sky")
+    before, after = (_source(frame, drive[other]) for other in near)
+    return Clip(view, out.log_scale[0].numpy(), (before, after))
+
+
+def _source(frame: Frame, other: Frame) -> Source:
+    assert frame.T_world_cam is not None and other.T_world_cam is not None
+    return Source(other.image(), other.camera, geometry.invert(other.T_world_cam) @ frame.T_world_cam)
