@@ -16,6 +16,7 @@ from priors import cache
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.sky import VERSION as SKY_VERSION
 from priors.types import Depth, Drive, Frame, Method
 
 LARGEST_FRAME_NUMBER = 10**7
@@ -72,6 +73,7 @@ def prepare(drive: Drive, method_name: str, method: Method, filters: Filters, fo
         "method": method_name,
         "config": _record(method),
         "filters": filters.record(),
+        "sky": SKY_VERSION,
         "weights": _weights_digest(method),
         "fingerprint": drive.fingerprint(),
         "maps": _maps_digest(frame, {*method.reads, *filters.reads}),

@@ -19,7 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.colours import as_rgb
-from priors.types import FloatMap, Image, Mask
+from priors.types import Depth, FloatMap, Image, Mask
 
 VERSION = 1
 """Goes into the cache's key of maps that were cropped by the mask: raise it when the mask changes."""
@@ -58,6 +58,19 @@ def sky_mask(image: Image) -> Mask:
     logit = apply_layers(rules[0], first)
     logit = apply_layers(rules[1], compare(first, normalised, logit))
     return kernels.apply_linear(image, guided_model(colour, sigmoid(logit)), factor)
+
+
+def doubt(depth: Depth, sky: Mask) -> Depth:
+    """Return a depth map whose confidence is 0 in the sky (height, width); what it says of depth there stays."""
+    if depth.confidence is None:
+        return depth
+    return Depth(depth.depth_m, np.where(sky, np.float32(0), depth.confidence))
+
+
+def rows_below(sky: Mask, margin: int = 16) -> slice:
+    """Return the rows to match: all but those at the top that hold sky only, a few of them kept."""
+    ground = np.flatnonzero(~sky.all(axis=1))
+    return slice(max(0, int(ground[0]) - margin) if ground.size else 0, sky.shape[0])
 
 
 def block_side(height: int, width: int) -> int:

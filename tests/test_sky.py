@@ -12,7 +12,11 @@ from hypothesis import strategies as st
 from priors import sky
 from priors.kernels import sky as kernels
 from priors.learn.sky_labels import SKY, UNKNOWN, read_camvid
+from priors.methods import _stereo_classical as classical
+from priors.methods.completion import Completion
+from priors.methods.stereo import Stereo
 from priors.sky import sky_mask
+from priors.types import Camera, Depth, Frame
 
 
 def painted(size: tuple[int, int] = (375, 1242)) -> tuple[np.ndarray, np.ndarray]:
@@ -28,6 +32,47 @@ def painted(size: tuple[int, int] = (375, 1242)) -> tuple[np.ndarray, np.ndarray
     blue = np.array([150, 190, 240]) + (v * 60)[..., None]
     image = np.where(mask[..., None], np.minimum(blue, 255), np.where(pole[..., None], 40, image))
     return image.astype(np.uint8), mask
+
+
+def street(size: tuple[int, int] = (188, 620)) -> tuple[Frame, np.ndarray]:
+    """The painted street as a pair 8 px apart with samples on every third row, the sky's too; and the sky's mask."""
+    image, mask = painted(size)
+    K = np.array([[360.0, 0, 310], [0, 360, 94], [0, 0, 1]])
+    sparse_m = np.zeros(size, np.float32)
+    sparse_m[::3] = 20
+    other = np.roll(image, -8, axis=1)
+    read = {"image": lambda: image, "other": lambda: other, "sparse": lambda: Depth(sparse_m)}
+    return Frame("0", Camera(K, size), read, {"sweep": "no LiDAR"}, baseline_m=0.54), mask
+
+
+@pytest.mark.parametrize("method", [Stereo(), Completion(source="velodyne_raw")], ids=["stereo", "completion"])
+def test_what_methods_say_of_the_sky_is_not_trusted(method: Stereo | Completion) -> None:
+    frame, mask = street()
+    depth = method(frame)
+    assert depth.confidence is not None
+    found = sky_mask(frame.image())
+    assert iou(found, mask) > 0.95
+    assert not depth.confidence[found].any()
+    assert np.mean(depth.confidence[~mask] > 0) > 0.95
+
+
+def test_rows_that_hold_sky_only_are_not_matched(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame, _ = street()
+    shapes: list[tuple[int, ...]] = []
+    estimate = classical.estimate
+
+    def watched(left: np.ndarray, right: np.ndarray, most_px: int) -> tuple[np.ndarray, np.ndarray]:
+        shapes.append(left.shape)
+        return estimate(left, right, most_px)
+
+    monkeypatch.setattr(classical, "estimate", watched)
+    mask = np.zeros((188, 620), bool)
+    mask[:60], mask[70, :] = True, True
+    monkeypatch.setattr("priors.methods.stereo.sky_mask", lambda image: mask)
+    depth = Stereo()(frame)
+    assert shapes == [(188 - 44, 620, 3)]
+    assert not depth.depth_m[:44].any() and np.mean(depth.depth_m[44:] > 0) > 0.9
+    assert sky.rows_below(np.ones((9, 4), bool)) == sky.rows_below(np.zeros((9, 4), bool)) == slice(0, 9)
 
 
 def iou(found: np.ndarray, true: np.ndarray) -> float:

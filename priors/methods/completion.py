@@ -24,6 +24,7 @@ import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.methods.lidar import Lidar
+from priors.sky import doubt, sky_mask
 from priors.types import Camera, Depth, FloatMap, Frame, Image, Mask, Matrix
 
 if TYPE_CHECKING:
@@ -105,7 +106,7 @@ class Completion:
         return weights.digest(weights.find(self.model, self.size, self.weights))
 
     def __call__(self, frame: Frame) -> Depth:
-        """Make the dense map (height, width), metres along the camera's z axis, with confidence.
+        """Make the dense map (height, width), metres along the camera's z axis; the sky's confidence is 0.
 
         Raises DataError where the drive has neither sparse maps nor a LiDAR, or the network's weights are missing.
         """
@@ -113,10 +114,10 @@ class Completion:
         sparse = frame.sparse() if config.source == "velodyne_raw" else config.lidar(frame)
         # What the lidar method accumulates was seen from many places, and is cleaned of what the camera does not see.
         T_cam_lidar = frame.T_cam_lidar if config.source == "velodyne_raw" else None
-        given = sparse.depth_m, frame.image(), frame.camera, T_cam_lidar, self.guidance
-        if config.model == "classical":
-            return complete(*given, self.reach_px)
-        return config.mend(*given)
+        image = frame.image()
+        given = sparse.depth_m, image, frame.camera, T_cam_lidar, self.guidance
+        found = complete(*given, self.reach_px) if config.model == "classical" else config.mend(*given)
+        return doubt(found, sky_mask(image))
 
     def mend(
         self,

@@ -10,6 +10,7 @@ from priors.errors import DataError
 from priors.methods import _stereo_classical as classical
 from priors.methods._stereo_pair import baseline, calibrate, find_range, offset_row, read_pair, unmirror
 from priors.offset import NONE
+from priors.sky import doubt, rows_below, sky_mask
 from priors.types import Depth, FloatMap, Frame, Image
 
 LARGEST_M = 250.0  # what a depth PNG holds, less a little; a pair sees no difference beyond
@@ -71,7 +72,7 @@ class Stereo:
         return weights.digest(weights.find(self.model, self.size, self.weights))
 
     def __call__(self, frame: Frame) -> Depth:
-        """Make the depth map (height, width), metres along the camera's z axis.
+        """Make the depth map (height, width), metres along the camera's z axis; the sky's confidence is 0.
 
         Raises DataError where the pair, its baseline or the network's weights are missing, where the two images differ
         in size, and where left and right are swapped.
@@ -79,7 +80,10 @@ class Stereo:
         fx_baseline = frame.camera.fx * baseline(frame)
         image, other = read_pair(frame)
         needed_px = find_range(frame, image, other)
-        disparity_px, trust = self._match(image, other, self.max_disparity_px or needed_px)
+        sky = sky_mask(image)
+        rows = rows_below(sky)
+        disparity_px, trust = np.zeros(sky.shape, np.float32), np.ones(sky.shape, np.float32)
+        disparity_px[rows], trust[rows] = self._match(image[rows], other[rows], self.max_disparity_px or needed_px)
         disparity_px, trust = unmirror(frame, disparity_px), unmirror(frame, trust)
         found = disparity_px > 0
         disparity_px = disparity_px + offset_row(frame.camera, self.offset_px or NONE)
@@ -91,7 +95,7 @@ class Stereo:
             trust = classical.probability(disparity_px, trust, fx_baseline)
         else:
             found &= ~beyond  # the disparity of the sky may be right, but its depth is not known
-        return Depth(depth_m, np.where(found, trust, np.float32(0)))
+        return doubt(Depth(depth_m, np.where(found, trust, np.float32(0))), unmirror(frame, sky))
 
     def _match(self, image: Image, other: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
         """Return disparity and the error to expect of it, px; of a network, disparity and confidence."""
