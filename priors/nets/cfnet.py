@@ -98,7 +98,7 @@ class Half(nn.Module):
             sigmas_px: deviations (b, h, w) of the stages before, the last one first, half pixels.
 
         Returns:
-            the match; doubt (b, h, w); upsampling logits (b, 36, h, w).
+            the match; doubt (b, 1, h, w); upsampling logits (b, 36, h, w).
         """
         position = self.range(disparity_px, sigmas_px[0])
         seen, other = self._features(*left), self._features(*right)
@@ -109,7 +109,7 @@ class Half(nn.Module):
         body = self.body(side_by_side(seen.permute(0, 2, 3, 1), match, spread, where))
         logits = self.logits(body).permute(0, 2, 3, 1)
         matched = Matched(*expect(logits, position), logits, position)
-        return matched, self.doubt(body)[:, 0].float(), self.weights(body)
+        return matched, self.doubt(body), self.weights(body)
 
     def _features(self, image: Tensor, quarter: Tensor) -> Tensor:
         above = F.interpolate(self.lift(quarter), scale_factor=2.0, mode="nearest")
@@ -134,24 +134,19 @@ class Cfnet(nn.Module):
 
         Training may ask for fewer stages, the first ones, at sizes that are multiples of 32.
         """
-        height, width = left.shape[-2:]
-        dtype = self.to_half.weight.dtype
-        quarters, halves = take_in(left, right, dtype)
-        both = self.trunk.see(quarters)
-        ours, theirs = [f.chunk(2)[0] for f in both], [f.chunk(2)[1] for f in both]
+        size = (left.shape[-2], left.shape[-1])
+        quarters, halves = take_in(left, right, self.to_half.weight.dtype)
+        ours, theirs = zip(*(level.chunk(2) for level in self.trunk.see(quarters)), strict=True)
         image, other = halves.chunk(2)
         coarse = self.coarse(ours, theirs, largest_px // 8)
         if stages == 1:
-            return StereoOut.unfinished([coarse], (height, width))
+            return StereoOut.unfinished([coarse], size)
         disparity, sigma8 = finer([coarse.disparity_px, coarse.sigma_px], self.to_quarter(ours[1]))
         quarter = self.quarter(ours[0], theirs[0], disparity, sigma8)
         if stages == 2:
-            return StereoOut.unfinished([coarse, quarter], (height, width))
+            return StereoOut.unfinished([coarse, quarter], size)
         maps = [quarter.disparity_px, quarter.sigma_px, sigma8]
         disparity, sigma4, sigma8 = finer(maps, self.to_half(ours[0]))
         half, doubt, weights = self.fine((image, ours[0]), (other, theirs[0]), disparity, [sigma4, sigma8])
-        full, sigma = finer([half.disparity_px, half.sigma_px], weights)
-        doubt = F.interpolate(doubt[:, None], scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
-        seen = [coarse, quarter, half] if self.training else []
-        inside = (slice(None), slice(height), slice(width))
-        return StereoOut(full[inside], sigma[inside], doubt[inside], seen)
+        maps = finer([half.disparity_px, half.sigma_px], weights)
+        return StereoOut.whole(maps, doubt, [coarse, quarter, half], size, self.training)

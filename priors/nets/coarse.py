@@ -1,5 +1,7 @@
 """The first stage of a stereo network: cost volumes of three scales, fused by one 3D hourglass."""
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -30,7 +32,7 @@ class Coarse(nn.Module):
         self.gate = nn.Conv2d(channels[1], width, 1)
         self.last = Exact(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
 
-    def forward(self, left: list[Tensor], right: list[Tensor], planes: int) -> Matched:
+    def forward(self, left: Sequence[Tensor], right: Sequence[Tensor], planes: int) -> Matched:
         """Match features at 1/8, 1/16 and 1/32 over `planes` (a multiple of 4) disparities at 1/8."""
         volumes = []
         for level, head in enumerate(self.heads):

@@ -35,6 +35,23 @@ class StereoOut:
     """Coarse to fine; empty in eval mode."""
 
     @classmethod
+    def whole(
+        cls, maps: list[Tensor], doubt: Tensor, stages: list[Matched], size: tuple[int, int], training: bool
+    ) -> Self:
+        """Crop the padded answer to the image's (height, width).
+
+        Args:
+            maps: disparity and sigma (b, h, w).
+            doubt: (b, 1, h / 2, w / 2), of any type.
+            stages: what each stage found; kept in training only.
+            size: the image's.
+            training: whether the network is in training mode.
+        """
+        fine = F.interpolate(doubt.float(), scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
+        full, sigma, logit = (map_[:, : size[0], : size[1]] for map_ in (*maps, fine))
+        return cls(full, sigma, logit, stages if training else [])
+
+    @classmethod
     def unfinished(cls, stages: list[Matched], size: tuple[int, int]) -> Self:
         """Return the first stages' answer, for training them before the rest."""
         maps = torch.stack([stages[-1].disparity_px, stages[-1].sigma_px], dim=1)

@@ -75,23 +75,20 @@ class Pcwnet(nn.Module):
 
         Training may ask for fewer stages, the first ones, at sizes that are multiples of 32.
         """
-        height, width = left.shape[-2:]
+        size = (left.shape[-2], left.shape[-1])
         quarters, halves = take_in(left, right, self.to_quarter.weight.dtype)
         levels = self.trunk.see(quarters)
-        ours, theirs = [f.chunk(2)[0] for f in levels], [f.chunk(2)[1] for f in levels]
+        ours, theirs = zip(*(level.chunk(2) for level in levels), strict=True)
         coarse = self.coarse(ours, theirs, largest_px // 8)
         if stages == 1:
-            return StereoOut.unfinished([coarse], (height, width))
+            return StereoOut.unfinished([coarse], size)
         disparity, sigma = finer([coarse.disparity_px, coarse.sigma_px], self.to_quarter(ours[1]))
         disparity4, weights, _ = self.quarter(ours[0], theirs[0], disparity, sigma)
         if stages == 2:
-            return StereoOut.unfinished([coarse, Matched(disparity4, sigma)], (height, width))
+            return StereoOut.unfinished([coarse, Matched(disparity4, sigma)], size)
         disparity, sigma = finer([disparity4, sigma], weights)
         above = F.interpolate(self.lift(levels[0]), scale_factor=2.0, mode="nearest")
-        a, b = self.features(torch.cat([halves, above], dim=1)).chunk(2)
+        a, b = self.features(side_by_side(halves.permute(0, 2, 3, 1), above.permute(0, 2, 3, 1))).chunk(2)
         disparity2, weights, body = self.fine(a, b, disparity, sigma)
-        full, sigma = finer([disparity2, sigma], weights)
-        doubt = F.interpolate(self.doubt(body).float(), scale_factor=2.0, mode="bilinear", align_corners=False)[:, 0]
-        seen = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)] if self.training else []
-        inside = (slice(None), slice(height), slice(width))
-        return StereoOut(full[inside], sigma[inside], doubt[inside], seen)
+        found = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)]
+        return StereoOut.whole(finer([disparity2, sigma], weights), self.doubt(body), found, size, self.training)
