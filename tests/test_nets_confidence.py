@@ -112,3 +112,27 @@ def test_header_round_trip() -> None:
     terms = drawn(2).terms
     assert np.allclose(made.probability(made.score(terms)), again.probability(again.score(terms)), atol=2e-3)
     assert Calibration.read({}) == Calibration.trusting()
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 10**6), knots=st.integers(1, 9), repeated=st.booleans())
+def test_the_kernels_equal_numpy(seed: int, knots: int, repeated: bool) -> None:
+    rng = np.random.default_rng(seed)
+    disparity_px = rng.uniform(0, 6, (3, 17)).astype(np.float32)
+    lands = np.arange(17, dtype=np.float32) - disparity_px
+    expected = lands < 0
+    for y, x in np.ndindex(3, 17):
+        expected[y, x] |= (lands[y, x + 1 :] <= lands[y, x] - 0.5).any()
+    assert np.array_equal(is_hidden(disparity_px), expected)
+
+    scores = np.sort(rng.normal(size=knots)).astype(np.float32)
+    if repeated:
+        scores[knots // 2 :] = scores[knots // 2]
+    heights = np.sort(rng.uniform(size=knots))[::-1].astype(np.float32)
+    table = Calibration((0.0,) * len(TERMS), tuple(map(float, scores)), tuple(map(float, heights)))
+    asked = np.concatenate([rng.normal(size=(2, 50)) * 2, np.tile(scores.astype(np.float64), (2, 1))], axis=1)
+    found = table.probability(asked.astype(np.float32))
+    assert found.shape == asked.shape and found.dtype == np.float32
+    off = np.abs(asked[..., None] - scores).min(-1) > 1e-5  # at a jump either side is right
+    assert np.allclose(found[off], np.interp(asked, scores, heights)[off], atol=1e-4)
+    assert found.min() >= heights.min() - 1e-6 and found.max() <= heights.max() + 1e-6

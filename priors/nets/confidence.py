@@ -20,6 +20,8 @@ SMALLEST_PX = 0.02
 """What sigma and the disparity are at least, before their logarithm is taken."""
 STEEP = 3.0
 """px per px: a steeper disparity counts as this steep."""
+HIDDEN_PX = np.float32(0.5)
+"""How far left of a pixel something nearer must land in the right view to hide it."""
 RIDGE = 1.0
 TILT = 2e-4
 """Least fall of the table from knot to knot."""
@@ -66,7 +68,13 @@ class Calibration:
 
     def probability(self, score: FloatMap) -> FloatMap:
         """Return the probability of a score."""
-        return np.interp(score, self.scores, self.probabilities).astype(np.float32)
+        from priors.kernels import confidence as kernels
+
+        values = np.ascontiguousarray(score, np.float32)
+        found = np.empty(values.shape, np.float32)
+        table = np.array(self.scores, np.float32), np.array(self.probabilities, np.float32)
+        kernels.interpolate(values.reshape(-1), *table, found.reshape(-1))
+        return found
 
 
 def evidence(disparity_px: FloatMap, sigma_px: FloatMap, doubt: FloatMap) -> FloatMap:
@@ -93,11 +101,11 @@ def is_hidden(disparity_px: FloatMap) -> npt.NDArray[np.bool_]:
 
     A surface to the right of a pixel hides it where it lands left of it in the right view, by half a pixel or more.
     """
-    lands = np.arange(disparity_px.shape[1], dtype=np.float32) - disparity_px
-    to_the_right = np.minimum.accumulate(lands[:, ::-1], axis=1)[:, ::-1]
-    nearest = np.full_like(lands, np.inf)
-    nearest[:, :-1] = to_the_right[:, 1:]
-    return (lands < 0) | (nearest <= lands - np.float32(0.5))
+    from priors.kernels import confidence as kernels
+
+    hidden = np.empty(disparity_px.shape, np.bool_)
+    kernels.find_hidden(np.ascontiguousarray(disparity_px, np.float32), HIDDEN_PX, hidden)
+    return hidden
 
 
 def fit(terms: FloatMap, within: npt.NDArray[np.bool_], far: float = 0.0, knots: int = 40) -> Calibration:
