@@ -21,6 +21,8 @@ from priors.nets.bts import MonoOut
 from priors.types import Drive
 
 Read = TypeVar("Read")
+RISE = 10
+"""Fewest steps to the largest learning rate: AdamW's first ones are long, and a slow machine makes few."""
 MOST_VIEWS = 40
 """Frames that take part at most, spread evenly."""
 
@@ -124,7 +126,7 @@ def adapt(
     started, step, told, error = time.monotonic(), 0, 0.0, float("nan")
     while (done := _progress(config, step, started)) < 1:
         for group in optimiser.param_groups:
-            group["lr"] = config.lr * min(1.0, 10 * done + 0.05) * (1 - 0.95 * done)
+            group["lr"] = config.lr * min(1.0, 10 * done + 0.05, (step + 1) / RISE) * (1 - 0.95 * done)
         batch = {name: value.to(device) for name, value in supervision.batch(rng, config.batch).items()}
         with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
             out = trained(batch["image"], batch["K"])

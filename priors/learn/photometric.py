@@ -5,6 +5,8 @@ one counts, as others may be hidden; and a pixel that looks more like the neighb
 or shows nothing: it teaches nothing.
 """
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -30,18 +32,33 @@ def photometric(inverse: Tensor, counts: Tensor, batch: Batch, stride: int, fine
         finest: how many times smaller the batch's sources are than the crops' content.
     """
     depth_m = 1 / shrink(inverse[:, None], stride)[:, 0]
-    target = shrink(batch["target"], stride)
     counts = shrink(counts[:, None].float(), stride)[:, 0] > 0.999
-    moved, still = [], []
+    (error,), unmoved = explain([depth_m], batch, stride, finest)
+    return mean(torch.minimum(error, unmoved), counts & (error < UNSEEN))
+
+
+def explain(depths_m: Sequence[Tensor], batch: Batch, stride: int, finest: int) -> tuple[Tensor, Tensor]:
+    """Return how unlike the target its neighbours look by each of k depth maps, and if the camera had not moved.
+
+    Args:
+        depths_m: of cells of `stride` pixels, (b, h, w) each.
+        batch: from clips.crops.
+        stride: side of the cells.
+        finest: see photometric.
+
+    Returns:
+        (k, b, h, w) and (b, h, w): of the neighbour that is less unlike; UNSEEN where no neighbour shows a pixel.
+    """
+    target, still = shrink(batch["target"], stride), torch.ones_like(depths_m[0])
+    moved, unmoved = [], []
     for n in range(batch["sources"].shape[1]):
         source = shrink(batch["sources"][:, n], stride // finest)
-        turn, shift, no_turn = batch["turn"][:, n], batch["shift"][:, n], batch["still"][:, n]
-        moved.append(mismatch(target, *look_up(source, turn, shift, depth_m, stride)))
-        with torch.no_grad():
-            ones = torch.ones_like(depth_m)
-            still.append(mismatch(target, *look_up(source, no_turn, torch.zeros_like(shift), ones, stride)))
-    best, unmoved = torch.stack(moved).amin(dim=0), torch.stack(still).amin(dim=0)
-    return mean(torch.minimum(best, unmoved), counts & (best < UNSEEN))
+        turn, shift = batch["turn"][:, n], batch["shift"][:, n]
+        moved.append([mismatch(target, *look_up(source, turn, shift, depth_m, stride)) for depth_m in depths_m])
+        here = look_up(source, batch["still"][:, n], torch.zeros_like(shift), still, stride)
+        unmoved.append(mismatch(target, *here))
+    best = [torch.stack(errors).amin(dim=0) for errors in zip(*moved, strict=True)]
+    return torch.stack(best), torch.stack(unmoved).amin(dim=0)
 
 
 def look_up(source: Tensor, turn: Tensor, shift: Tensor, depth_m: Tensor, stride: int) -> tuple[Tensor, Tensor]:

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from priors import geometry
 from priors.errors import DataError
 from priors.learn.clips import Clip, Source, crops
+from priors.learn.hints import hint
 from priors.learn.loop import Batch
 from priors.learn.mono import predict, steps
 from priors.learn.photometric import photometric, roughness
@@ -27,10 +28,9 @@ ZOOM = (0.75, 1.33)
 SMALL = 192
 """Crops less high than this are compared at full size, others at half, which is as good and four times as fast."""
 LEVELS = 3
-"""Sizes that are compared, each half the one before: the coarse ones see depth that is far off."""
-RELIEF, ROUGH = 0.1, 0.02
-"""Weights of the starting network's relief and of smoothness, that of the photometric error being WEIGHT."""
-WEIGHT = 10.0
+"""Sizes that are compared, each half the one before. Hints come from the smallest."""
+ERROR, HINT, RELIEF, ROUGH = 10.0, 4.0, 0.1, 0.02
+"""Weights of the photometric error, of the hints, of the starting network's relief and of smoothness."""
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,17 @@ class Video:
         surface, known = batch["sky"] == SURFACE, batch["sky"] != UNKNOWN
         inverse, first = 1 / out.depth_m, finest(out.depth_m.shape[1])
         strides = [first * 2**level for level in range(LEVELS)]
-        wrong = torch.stack([photometric(inverse, surface, batch, stride, first) for stride in strides]).mean()
+        found = hint(inverse, surface, batch, strides[-1], first)
+        near = surface & ~F.interpolate(found.elsewhere[:, None].float(), surface.shape[1:])[:, 0].bool()
+        wrong = torch.stack([photometric(inverse, near, batch, stride, first) for stride in strides]).mean()
         change = out.depth_m.log() - batch["depth_m"].log()
         relief = sum((steps(change, surface, stride) for stride in (1, 2, 4, 8)), change.new_zeros(()))
         rough = roughness(inverse, batch["target"], surface)
         is_sky = (batch["sky"] == SKY).float()
         sky = mean(F.binary_cross_entropy_with_logits(out.sky_logit, is_sky, reduction="none"), known)
         scale = mean((out.log_scale - batch["log_scale"]).abs(), surface)
-        return WEIGHT * wrong + RELIEF * relief + ROUGH * rough + 0.5 * sky + 0.1 * scale, wrong.detach()
+        scene = ERROR * wrong + HINT * found.error() + RELIEF * relief + ROUGH * rough
+        return scene + 0.5 * sky + 0.1 * scale, wrong.detach()
 
 
 def finest(height: int) -> int:
