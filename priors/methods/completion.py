@@ -63,7 +63,7 @@ class Completion:
     """Pixels farther than this from any sample (to within 4) get no value: the sky, mostly."""
     model: Literal["classical", "mffnet"] = "classical"
     """classical: no learning; mffnet: a network mends what that fills, and says how sure it is."""
-    size: Literal["s", "m"] = "m"
+    size: Literal["s", "m"] = "s"
     """Of the network: small is faster."""
     runtime: Literal["auto", "bf16", "fp32", "cuda"] = "auto"
     """What runs the network; auto: CUDA where there is one, bf16 on CPUs that have it, else fp32."""
