@@ -52,7 +52,8 @@ def pair_up(drive: Drive, indices: Sequence[int], most: int) -> dict[int, tuple[
     poses = {index: T_world_cam for index, T_world_cam in found.items() if T_world_cam is not None}
     instead = "choose --mono.adapt lidar or stereo"
     if not poses:
-        raise DataError(f"{drive.name}: no training frame has a pose, --mono.adapt video needs them: {instead}")
+        where = "KITTI's oxts, poses/<sequence>.txt, a folder's poses.txt"
+        raise DataError(f"{drive.name}: no training frame has a pose: --mono.adapt video needs {where}; or {instead}")
     pairs = {index: near for index in poses if (near := neighbours(poses, index)) is not None}
     if not pairs:
         raise DataError(
@@ -102,10 +103,7 @@ def crops(
     windows = [choose_window(clip.view.camera.size, rng, size, zoom) for clip in clips]
     views = [cut_out(clip.view, window) for clip, window in zip(clips, windows, strict=True)]
     height, width = (max(1, round(n * windows[0].factor / shrink)) for n in clips[0].sources[0].camera.size)
-    images = [
-        [as_rgb(np.asarray(cv2.resize(source.image, (width, height), interpolation=cv2.INTER_AREA))) for source in two]
-        for two in (clip.sources for clip in clips)
-    ]
+    images = [[resize(source.image, (height, width)) for source in clip.sources] for clip in clips]
     places = [
         [place(source, window, view.camera) for source in clip.sources]
         for clip, window, view in zip(clips, windows, views, strict=True)
@@ -120,6 +118,12 @@ def crops(
         "shift": torch.from_numpy(shift),
         "still": torch.from_numpy(still),
     }
+
+
+def resize(image: Image, size: tuple[int, int]) -> Image:
+    """Resize an image to (height, width); grey is repeated."""
+    way = cv2.INTER_AREA if size[0] < image.shape[0] else cv2.INTER_LINEAR
+    return as_rgb(np.asarray(cv2.resize(image, size[::-1], interpolation=way), np.uint8))
 
 
 def place(source: Source, window: Window, camera: Camera) -> tuple[Matrix, Matrix, Matrix]:
