@@ -29,6 +29,8 @@ SMALL = 192
 """Crops less high than this are compared at full size, others at half, which is as good and four times as fast."""
 LEVELS = 3
 """Sizes that are compared, each half the one before. Hints come from the smallest."""
+LEARNING_RATE = 1e-4
+"""A third of what known depth allows: what a few images show of each other is a noisier guide."""
 ERROR, HINT, RELIEF, ROUGH = 10.0, 4.0, 0.1, 0.02
 """Weights of the photometric error, of the hints, of the starting network's relief and of smoothness."""
 

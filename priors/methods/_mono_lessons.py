@@ -9,10 +9,10 @@ from torch import nn
 
 from priors import geometry
 from priors.errors import DataError
-from priors.learn.adapt import MOST_VIEWS, Supervision, gather, thin
+from priors.learn.adapt import MOST_VIEWS, AdaptConfig, Supervision, gather, thin
 from priors.learn.clips import pair_up
 from priors.learn.measured import Measured
-from priors.learn.video import Video, read_clip
+from priors.learn.video import LEARNING_RATE, Video, read_clip
 from priors.learn.views import View, label_sky
 from priors.methods._mono_known import Known
 from priors.types import Drive, Frame, Matrix
@@ -30,6 +30,8 @@ class Lesson:
     """What else decides the result, for the key."""
     read: Callable[[nn.Module, bool], Supervision]
     """Reads it, given the starting network in eval mode and whether that runs in bf16."""
+    lr: float = AdaptConfig.lr
+    """The learning rate that suits it."""
 
 
 def by_depth(drive: Drive, indices: Sequence[int], known: Known) -> Lesson:
@@ -51,7 +53,8 @@ def by_video(drive: Drive, indices: Sequence[int]) -> Lesson:
         return Video(clips)
 
     seen = [[[drive.ids[other], _moved(drive[index], drive[other])] for other in pairs[index]] for index in pairs]
-    return Lesson("posed neighbours", [drive.ids[index] for index in pairs], {"source": "video", "seen": seen}, read)
+    frames, decides = [drive.ids[index] for index in pairs], {"source": "video", "seen": seen}
+    return Lesson("posed neighbours", frames, decides, read, LEARNING_RATE)
 
 
 def as_view(frame: Frame, known: Known) -> View:

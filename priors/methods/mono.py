@@ -193,7 +193,7 @@ class Mono:
             lesson = by_video(drive, indices)
         else:
             lesson = by_depth(drive, indices, self._known(self.adapt, drive[indices[0]]))
-        config, chosen = AdaptConfig(seconds=self.adapt_s), self._choose_runtime()
+        config, chosen = AdaptConfig(seconds=self.adapt_s, lr=lesson.lr), self._choose_runtime()
         return self._predict(adapted_weights(drive, lesson, start, self.size, config, folder, on_note, chosen))
 
     def _fit(self, samples: list[tuple[FloatMap, FloatMap]], what: str) -> Alignment:
