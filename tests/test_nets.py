@@ -125,14 +125,21 @@ def test_flat_matches_are_matches() -> None:
 
 
 @pytest.mark.skipif(not available(), reason="this torch build has no fused convolutions")
-def test_a_fused_head_is_as_exact_as_float32() -> None:
+@pytest.mark.parametrize("after", [nn.ReLU(), nn.LeakyReLU(0.3)], ids=["relu", "leaky"])
+def test_a_fused_head_is_as_exact_as_float32(after: nn.Module) -> None:
     torch.manual_seed(0)
-    head = Exact(conv3d(16, 16), nn.Conv3d(16, 1, 3, padding=1)).eval()
+    first = conv3d(16, 16)
+    first[-1] = after
+    head = Exact(first, nn.Conv3d(16, 1, 3, padding=1)).eval()
     volume_ = torch.randn(1, 16, 6, 20, 8).to(torch.bfloat16, memory_format=torch.channels_last_3d)
     with torch.inference_mode():
         fold(head).to(torch.bfloat16)
-        expected, rounded = head(volume_), nn.Sequential(*head)(volume_)
-        found = fuse(nn.ModuleList([head]))[0](volume_)
+        last, between = head[1], nn.Sequential(*head[0])
+        fused = fuse(nn.ModuleList([head]))[0]
+        features = fused.first(volume_)
+        torch.testing.assert_close(features, between(volume_), atol=0.01, rtol=0.01)
+        expected = nn.functional.conv3d(features.float(), last.weight.float(), last.bias.float(), padding=1)
+        found, rounded = fused(volume_), last(features)
     assert found.dtype == torch.float32
     error = (found - expected).abs().max()
     assert error < 0.02 * (rounded.float() - expected).abs().max(), error

@@ -196,7 +196,9 @@ def head(inputs: int, outputs: int) -> Exact:
     last = nn.Conv2d(32, outputs, 1)
     nn.init.normal_(last.weight, std=1e-3)
     nn.init.zeros_(last.bias)  # type: ignore[arg-type]
-    return Exact(conv(inputs, 32), last)
+    first = conv(inputs, 32)
+    first[-1] = nn.LeakyReLU(0.1, inplace=True)  # with a ReLU all features die in the sky, and nothing is learned there
+    return Exact(first, last)
 
 
 def planar(layer: nn.Conv2d, features: Tensor) -> Tensor:

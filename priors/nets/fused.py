@@ -5,7 +5,8 @@ those that torch's own compiler emits, so they need no compiler on the machine; 
 another device, the network stays as it is.
 """
 
-from typing import TypeVar
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -13,6 +14,12 @@ from torch import Tensor, nn
 from priors.nets.blocks import Exact, Residual
 
 Net = TypeVar("Net", bound=nn.Module)
+AFTER: dict[type[nn.Module], Callable[[Any], tuple[str, list[float]]]] = {
+    nn.ReLU: lambda layer: ("relu", []),
+    nn.ReLU6: lambda layer: ("hardtanh", [0.0, 6.0]),
+    nn.LeakyReLU: lambda layer: ("leaky_relu", [layer.negative_slope]),
+}
+"""What can follow a convolution in the same pass: oneDNN's name and numbers."""
 
 
 def fuse(net: Net) -> Net:
@@ -29,7 +36,7 @@ def fuse(net: Net) -> Net:
         elif isinstance(child, Residual):
             setattr(net, name, FusedResidual(child))
         elif isinstance(child, nn.Sequential) and _is_pair(child):
-            setattr(net, name, FusedConv(_conv_of(child), 6.0 if isinstance(child[-1], nn.ReLU6) else None))
+            setattr(net, name, FusedConv(_conv_of(child), child[-1]))
         elif isinstance(child, nn.ModuleList | nn.Sequential) or len(list(child.children())):
             fuse(child)
     return net
@@ -39,21 +46,20 @@ def available() -> bool:
     """Tell whether this torch has the operators and can run them."""
     try:
         x = torch.zeros(1, 16, 4, 4).to(memory_format=torch.channels_last)
-        FusedConv(nn.Conv2d(16, 16, 3, padding=1))(x)
+        FusedConv(nn.Conv2d(16, 16, 3, padding=1), nn.ReLU())(x)
     except (RuntimeError, AttributeError):
         return False
     return True
 
 
 class FusedConv(nn.Module):
-    """ReLU of a convolution (of a convolution plus a given map), weights laid out for this machine once."""
+    """A convolution (plus a given map) and what follows it, weights laid out for this machine once."""
 
-    def __init__(self, conv: nn.Conv2d | nn.Conv3d, most: float | None = None, bounded: bool = True) -> None:
-        """Take a convolution, where its ReLU ends (6 for a ReLU6), and whether it has one."""
+    def __init__(self, conv: nn.Conv2d | nn.Conv3d, after: nn.Module | None = None) -> None:
+        """Take a convolution and what follows it: a ReLU, ReLU6, LeakyReLU or nothing."""
         super().__init__()
         self.groups = conv.groups
-        self.bounds: tuple[str, list[float]] = ("relu", []) if most is None else ("hardtanh", [0.0, most])
-        self.bounded = bounded
+        self.after = _post_operation(after)
         self.padding, self.stride, self.dilation = (
             list(map(int, p)) for p in (conv.padding, conv.stride, conv.dilation)
         )
@@ -64,13 +70,12 @@ class FusedConv(nn.Module):
         self.bias = None if conv.bias is None else conv.bias.detach()
 
     def forward(self, x: Tensor, plus: Tensor | None = None) -> Tensor:
-        """Return relu(conv(x) + plus), (b, channels, ...)."""
+        """Return after(conv(x) + plus), (b, channels, ...)."""
         shape = self.padding, self.stride, self.dilation, self.groups
         run = torch.ops.mkldnn._convolution_pointwise
         if plus is None:
-            return run(x, self.weight, self.bias, *shape, *(self.bounds if self.bounded else ("none", [])), "")
-        after = self.bounds if self.bounded else (None, [])
-        return run.binary(x, plus, self.weight, self.bias, *shape, "add", 1.0, *after, "")
+            return run(x, self.weight, self.bias, *shape, *(self.after or ("none", [])), "")
+        return run.binary(x, plus, self.weight, self.bias, *shape, "add", 1.0, *(self.after or (None, [])), "")
 
 
 class FusedResidual(nn.Module):
@@ -78,7 +83,7 @@ class FusedResidual(nn.Module):
 
     def __init__(self, block: Residual) -> None:
         super().__init__()
-        self.first, self.second = FusedConv(_conv_of(block.first)), FusedConv(_conv_of(block.second))
+        self.first, self.second = (FusedConv(_conv_of(part), nn.ReLU()) for part in (block.first, block.second))
 
     def forward(self, x: Tensor) -> Tensor:
         """Add what the convolutions find."""
@@ -96,7 +101,7 @@ class FusedExact(nn.Module):
         super().__init__()
         first, last = head
         assert isinstance(first, nn.Sequential) and isinstance(last, nn.Conv2d | nn.Conv3d)
-        self.first, self.last = FusedConv(_conv_of(first)), FusedConv(last, bounded=False)
+        self.first, self.last = FusedConv(_conv_of(first), first[-1]), FusedConv(last)
 
     def forward(self, x: Tensor) -> Tensor:
         """Run both layers; returns float32."""
@@ -107,7 +112,12 @@ class FusedExact(nn.Module):
 
 def _is_pair(sequence: nn.Sequential) -> bool:
     kinds = [type(layer) for layer in sequence if not isinstance(layer, nn.Identity)]
-    return kinds in ([nn.Conv2d, nn.ReLU], [nn.Conv2d, nn.ReLU6], [nn.Conv3d, nn.ReLU])
+    return len(kinds) == 2 and kinds[0] in (nn.Conv2d, nn.Conv3d) and kinds[1] in AFTER
+
+
+def _post_operation(after: nn.Module | None) -> tuple[str, list[float]] | None:
+    """Return oneDNN's name and numbers for what follows a convolution."""
+    return None if after is None else AFTER[type(after)](after)
 
 
 def _conv_of(sequence: nn.Sequential) -> nn.Conv2d | nn.Conv3d:
