@@ -28,8 +28,6 @@ from priors.types import Image
 LARGEST_PX = 192
 SHARP_PX = 0.25
 """Errors below this are squared."""
-FULL_PX = 15.0
-"""What lies farther than this counts more, up to three times: a pixel is more metres there."""
 STAGE_WEIGHTS = (0.1, 0.3, 0.5)
 SPREAD_WEIGHT, DOUBT_WEIGHT = 0.3, 0.2
 SCHEDULE = (2500, 3300)
@@ -64,15 +62,12 @@ class StereoTask:
         truth, weight = batch["disparity_px"], batch["weight"] * batch["known"]
         weight = weight * (truth < LARGEST_PX)
         error = (out.disparity_px - truth).abs()
-        due = weight * emphasis(truth)
-        total = mean(soft(error), due) if stages == 3 else error.new_zeros(())
+        total = mean(soft(error), weight) if stages == 3 else error.new_zeros(())
         spread = total.new_zeros(())
         for stage, share in zip(out.stages, STAGE_WEIGHTS, strict=False):
             step = truth.shape[-1] // stage.disparity_px.shape[-1]
-            target, sure, counts = (
-                values[:, step // 2 :: step, step // 2 :: step] for values in (truth, weight, due)
-            )
-            total = total + share * mean(soft(step * stage.disparity_px - target), counts)
+            target, sure = (values[:, step // 2 :: step, step // 2 :: step] for values in (truth, weight))
+            total = total + share * mean(soft(step * stage.disparity_px - target), sure)
             spread = spread + cross_entropy(stage, target / step, sure)
         total = total + SPREAD_WEIGHT * spread
         terms = {"epe": mean(error, weight).detach(), "spread": spread.detach()}
@@ -82,11 +77,11 @@ class StereoTask:
         return total + DOUBT_WEIGHT * mean(doubt, weight), terms
 
     def validate(self, net: nn.Module) -> dict[str, float]:
-        """Return EPE, D1 and the share above 1 px by source; "error" is their mean EPE, each 5 px at most."""
+        """Return EPE, D1 and the share above 1 px by source, without sky; "error" is their mean EPE, each 5 px at most."""
         found: dict[str, list[tuple[float, float, float]]] = {}
         for item in self._held_back:
             error, truth = predict(net, item)[0] - item["disparity_px"], item["disparity_px"]
-            sure = item["known"] & (item["weight"] > 0) & (truth < LARGEST_PX)
+            sure = item["known"] & ~item["sky"] & (item["weight"] > 0) & (truth < LARGEST_PX)
             error, truth = np.abs(error[sure]), truth[sure]
             wrong = (error > 3) & (error > 0.05 * truth)
             found.setdefault(item["source"], []).append((error.mean(), wrong.mean(), (error > 1).mean()))
@@ -129,11 +124,6 @@ def predict(net: nn.Module, item: Item) -> tuple[npt.NDArray[np.float32], npt.ND
     with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16):
         out: StereoOut = net(*pair, LARGEST_PX)
     return out.disparity_px[0].float().cpu().numpy(), out.doubt[0].float().cpu().numpy()
-
-
-def emphasis(disparity_px: Tensor) -> Tensor:
-    """Return how much a pixel's error counts: by its part of the disparity, within bounds; the sky's (0) little."""
-    return torch.where(disparity_px > 0.5, (FULL_PX / (disparity_px + 1)).clamp(0.5, 3.0), 0.5)
 
 
 def soft(error: Tensor) -> Tensor:
