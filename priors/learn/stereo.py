@@ -77,7 +77,7 @@ class StereoTask:
         return total + DOUBT_WEIGHT * mean(doubt, weight), terms
 
     def validate(self, net: nn.Module) -> dict[str, float]:
-        """Return EPE, D1 and the share above 1 px by source, without sky; "error" is their mean EPE, each 5 px at most."""
+        """Return EPE, D1 and the share above 1 px by source, without sky; "error" is the mean EPE, each at most 5."""
         found: dict[str, list[tuple[float, float, float]]] = {}
         for item in self._held_back:
             error, truth = predict(net, item)[0] - item["disparity_px"], item["disparity_px"]
