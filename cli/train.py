@@ -70,7 +70,7 @@ class StereoArguments(RunArguments):
     teacher: Path | None = None
     """Folder of a teacher's maps of the odometry frames, see `python -m priors.learn.teach --help`."""
     start: Path | None = None
-    """Weights to start from: those of the tensors that this network has too (a trunk trained for another, say)."""
+    """Weights to start from: those of the tensors that this network has too. All stages learn from the first step."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,8 @@ def stereo_task(args: StereoArguments) -> "Task":
     if args.start is not None:
         err.print(f"{stereo.start_from(net, args.start)} tensors taken from {args.start}")
     folders = args.street, args.real, args.cache, args.teacher
-    return stereo.StereoTask(net, data.mixture(*folders), data.validation(*folders, count=10), args.batch)
+    schedule = stereo.SCHEDULE if args.start is None else (0, 0)  # what has learned already learns on as a whole
+    return stereo.StereoTask(net, data.mixture(*folders), data.validation(*folders, count=10), args.batch, schedule)
 
 
 def completion_task(args: RunArguments) -> "Task":

@@ -50,6 +50,14 @@ def weights(folder: Path) -> dict[str, Tensor]:
     return load_file(folder / "last.safetensors")
 
 
+def test_the_average_has_averaged_statistics(tmp_path: Path) -> None:
+    train(Line(), tmp_path, CONFIG)
+    found = weights(tmp_path)
+    ours, theirs = found["average.1.running_var"], found["net.1.running_var"]
+    assert torch.isfinite(ours).all() and not torch.equal(ours, theirs)
+    assert torch.equal(found["average.1.num_batches_tracked"], found["net.1.num_batches_tracked"])
+
+
 def test_a_run_that_was_stopped_goes_on_bit_for_bit(tmp_path: Path) -> None:
     train(Line(), tmp_path / "whole", CONFIG)
     first = Line(stop_at=17)

@@ -181,7 +181,10 @@ class _Run:
             for ours, theirs in zip(self.average.parameters(), self.net.parameters(), strict=True):
                 ours.lerp_(theirs, 1 - keep)
             for ours_, theirs_ in zip(self.average.buffers(), self.net.buffers(), strict=True):
-                ours_.copy_(theirs_)
+                if ours_.is_floating_point():  # statistics of small batches are noise unless they are averaged too
+                    ours_.lerp_(theirs_, 1 - keep)
+                else:
+                    ours_.copy_(theirs_)
 
     def validate(self) -> None:
         """Measure the average, draw what it sees, keep it if it is the best so far."""
