@@ -1,1 +1,7 @@
 """Make, filter and cache metric depth priors for street drives."""
+
+import os
+
+# The threads of numpy's matrix library spin for a tenth of a second after each product and keep the cores from
+# everything else; our products are small. It helps where numpy is imported after this.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

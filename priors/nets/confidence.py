@@ -64,7 +64,10 @@ class Calibration:
 
     def score(self, terms: FloatMap) -> FloatMap:
         """Return the score (...): higher is worse; terms is (5, ...)."""
-        return np.tensordot(np.asarray(self.weights, np.float32), terms, axes=1)
+        total = np.float32(self.weights[0]) * terms[0]
+        for weight, term in zip(self.weights[1:], terms[1:], strict=True):  # a matrix product wakes threads
+            total += np.float32(weight) * term
+        return total
 
     def probability(self, score: FloatMap) -> FloatMap:
         """Return the probability of a score."""
