@@ -1,3 +1,6 @@
 """The commands: argument plumbing only."""
 
-import priors  # noqa: F401 - sets the number of numpy's threads before anything imports numpy
+import os
+
+# As priors/__init__.py has it: here it comes before anything imports numpy.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
