@@ -9,7 +9,7 @@ import torch
 from priors.cache import key_of
 from priors.errors import DataError
 from priors.learn.adapt import AdaptConfig, adapt
-from priors.methods._mono_lessons import Lesson
+from priors.learn.lessons import Lesson
 from priors.nets import runtime, weights
 from priors.nets.runtime import Ready, Runtime
 from priors.types import Camera, Drive, FloatMap, Image

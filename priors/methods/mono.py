@@ -184,7 +184,7 @@ class Mono:
 
     def _adapted(self, drive: Drive, indices: list[int], folder: Path, on_note: Callable[[str], None]) -> Predict:
         from priors.learn.adapt import AdaptConfig
-        from priors.methods._mono_lessons import by_depth, by_video
+        from priors.learn.lessons import by_depth, by_video
         from priors.methods._mono_network import adapted_weights
         from priors.nets import weights
 
