@@ -1,7 +1,6 @@
 """Mono: the focal convention, planes, what may take part in adapting, users' networks, and hard inputs."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 import torch.nn.functional as F
+from guarded import GuardedDrive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -47,44 +47,21 @@ def road(focal_px: float = 200.0, size: tuple[int, int] = (64, 160), seed: int =
 
 
 @dataclass
-class Road:
-    """A drive of such views; frames listed in `closed` must not be read."""
+class Road(GuardedDrive):
+    """A drive of such views."""
 
-    count: int = 12
-    closed: Sequence[int] = ()
     size: tuple[int, int] = (64, 160)
-    name: str = "road"
-    read: list[int] = field(default_factory=list)
-
-    @property
-    def ids(self) -> list[str]:
-        return [f"{number:06d}" for number in range(self.count)]
-
-    def __len__(self) -> int:
-        return self.count
 
     def __getitem__(self, index: int) -> Frame:
         view = road(size=self.size, seed=index)
-
-        def open_(what: Any) -> Callable[[], Any]:
-            def reader() -> Any:
-                assert index not in self.closed, f"frame {index} is held out, and was read"
-                self.read.append(index)
-                return what
-
-            return reader
-
         rows = np.flatnonzero(view.depth_m[:, 0] > 0)[::3]
         sparse_m = np.zeros_like(view.depth_m)
         sparse_m[rows] = view.depth_m[rows]
-        readers = {"image": open_(view.image), "sparse": open_(Depth(sparse_m))}
+        readers = {
+            "image": self.reader(index, lambda: view.image),
+            "sparse": self.reader(index, lambda: Depth(sparse_m)),
+        }
         return Frame(self.ids[index], view.camera, readers, {"sweep": "this drive has no LiDAR"})
-
-    def describe(self) -> dict[str, Any]:
-        return {"dataset": "road", "path": "/nowhere"}
-
-    def fingerprint(self) -> str:
-        return f"road {self.count}"
 
 
 @pytest.fixture(scope="module")

@@ -14,6 +14,7 @@ from standin import Standin, install
 from priors import codecs
 from priors.errors import DataError
 from priors.nets import runtime, weights
+from priors.nets.blocks import fold
 from priors.nets.runtime import as_input, as_map, choose, make_ready, open_net
 
 STEREO = [path for name in ("cfnet", "pcwnet") for path in sorted(weights.FOLDER.glob(f"{name}-?.safetensors"))]
@@ -149,11 +150,16 @@ def test_folding_changes_nothing() -> None:
     with torch.inference_mode():
         plain = net(*(as_input(view) for view in images()), 32)
         features = net.features(as_input(images()[0]))
-    folded = run(net, "fp32")
-    assert np.allclose(as_map(plain.disparity_px), folded[0], atol=1e-4)
-    assert isinstance(net.features[1], torch.nn.Identity)
-    with torch.inference_mode():
+        folded = fold(net)(*(as_input(view) for view in images()), 32)
+        assert torch.allclose(plain.disparity_px, folded.disparity_px, atol=1e-4)
+        assert isinstance(net.features[1], torch.nn.Identity)
         assert torch.allclose(features, net.features(as_input(images()[0])), atol=1e-5)
+
+
+def test_all_runtimes_have_the_same_weights() -> None:
+    plain, portable = (make_ready(trained(), how).net.features[0].weight for how in ("fp32", "onnx"))
+    assert plain.dtype == portable.dtype == torch.float32 and torch.equal(plain, portable)
+    assert torch.equal(plain, plain.to(torch.bfloat16).float())
 
 
 def test_bf16_is_close() -> None:
@@ -197,7 +203,7 @@ def test_onnx_equals_torch(tmp_path: Path) -> None:
 @pytest.mark.skipif(not STEREO, reason="no stereo weights in priors/weights yet")
 @pytest.mark.parametrize("path", STEREO, ids=lambda path: path.stem)
 def test_runtimes_agree_on_real_pairs(path: Path, real_data: RealData) -> None:
-    """The promise of docs/methods/stereo.md: ONNX within 0.05 px, bf16 within 0.1 px on 98.5 % of all pixels."""
+    """The promise of docs/methods/stereo.md: ONNX within 0.05 px, bf16 within 0.1 px on 99 % of all pixels."""
     name, size = path.stem.split("-")
     near = []
     for sequence, number in (("06", 3), ("06", 30), ("01", 3), ("01", 30)):
@@ -212,4 +218,4 @@ def test_runtimes_agree_on_real_pairs(path: Path, real_data: RealData) -> None:
 
         portable = Graphs(open_net(name, size, "onnx"))(left, right, 96)[0]
         assert np.max(np.abs(exact - portable)) <= 0.05
-    assert np.mean(near) >= 0.985
+    assert np.mean(near) >= 0.99

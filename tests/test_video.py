@@ -1,13 +1,14 @@
 """Adapting to posed frames: looking up, photometric error, neighbours, and what must not be read."""
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from guarded import GuardedDrive
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -191,38 +192,16 @@ def test_neighbours_lie_near_and_took_part(steps_m: list[float], closed: set[int
 
 
 @dataclass
-class Trip:
-    """A drive over the plane, a pose and an image every `step_m`; frames in `closed` must not be read."""
+class Trip(GuardedDrive):
+    """A drive over the plane, a pose and an image every `step_m`."""
 
-    count: int = 12
-    closed: Sequence[int] = ()
     posed: bool = True
     step_m: float = 0.4
-    name: str = "trip"
-    read: list[int] = field(default_factory=list)
-
-    @property
-    def ids(self) -> list[str]:
-        return [f"{number:06d}" for number in range(self.count)]
-
-    def __len__(self) -> int:
-        return self.count
 
     def __getitem__(self, index: int) -> Frame:
+        image = self.reader(index, lambda: picture(pose(self.step_m * (index % 6)))[0])
         T_world_cam = pose(self.step_m * index)
-
-        def image() -> np.ndarray:
-            assert index not in self.closed, f"frame {index} is held out, and was read"
-            self.read.append(index)
-            return picture(pose(self.step_m * (index % 6)))[0]
-
         return Frame(self.ids[index], CAMERA, {"image": image}, {}, T_world_cam if self.posed else None)
-
-    def describe(self) -> dict[str, Any]:
-        return {"dataset": "trip", "path": "/nowhere"}
-
-    def fingerprint(self) -> str:
-        return "trip"
 
 
 @pytest.fixture

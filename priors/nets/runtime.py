@@ -90,10 +90,12 @@ def make_ready(net: nn.Module, runtime: Runtime, about: dict[str, Any] | None = 
     """Fold, cast, fuse and lay out a network for a runtime, in place.
 
     cuda runs in bf16 where the device has it. onnx keeps plain fp32: priors.nets.export turns that into a graph.
+    Folded weights are rounded to bf16 for every runtime, so that all run the same network: half of what bf16 and fp32
+    would disagree by comes from the weights.
     """
-    fold(net.eval()).requires_grad_(False)
-    if runtime == "bf16" or (runtime == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)):
-        net.to(torch.bfloat16)
+    fold(net.eval()).requires_grad_(False).to(torch.bfloat16)
+    if runtime != "bf16" and not (runtime == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)):
+        net.to(torch.float32)
     if runtime == "cuda":
         net.to("cuda")
     if runtime != "onnx":
