@@ -90,14 +90,17 @@ def load_weights() -> tuple[Layers, Layers]:
 
 def apply_layers(layers: Layers, values: Floats) -> FloatMap:
     """Run dense layers (ReLU between them) on n values per block, (n, ...): logits (...)."""
+    from priors.kernels.sky import dense
+
     shape = values.shape[1:]
-    values = values.reshape(len(values), -1)
-    for weights, bias in layers[:-1]:
-        values = weights.T @ values
-        values += bias[:, None]
-        np.maximum(values, 0, out=values)
-    weights, bias = layers[-1]
-    return (weights.T @ values + bias[:, None]).reshape(shape)
+    values = np.ascontiguousarray(values.reshape(len(values), -1), np.float32)
+    for number, (weights, bias) in enumerate(layers):
+        if number:
+            np.maximum(values, 0, out=values)
+        answer = np.empty((bias.size, values.shape[1]), np.float32)
+        dense(values, weights.reshape(len(values), -1), bias.reshape(-1), answer)
+        values = answer
+    return values.reshape(shape)
 
 
 def sigmoid(logit: FloatMap) -> FloatMap:
@@ -116,7 +119,7 @@ def describe(colour: Floats, texture: FloatMap) -> tuple[Floats, Floats]:
         (19, height, width) values, and the colours (height, width, 3) scaled so that the image's bright end is 1:
         exposure drops out.
     """
-    grey = colour @ np.array([0.299, 0.587, 0.114], np.float32)
+    grey = np.float32(0.299) * colour[..., 0] + np.float32(0.587) * colour[..., 1] + np.float32(0.114) * colour[..., 2]
     gain = 1 / max(float(np.quantile(grey[::2, ::2], 0.98)), 0.05)
     colour, grey, texture = colour * np.float32(gain), grey * np.float32(gain), texture * np.float32(gain)
     height, width = grey.shape
@@ -224,7 +227,8 @@ def unlike(colour: Floats, weight: FloatMap) -> FloatMap:
     local = blur(weighted, side) / share[..., None]
     overall = weighted.sum(axis=(0, 1)) / (weight.sum() + 1e-3 * weight.size)
     trust = np.minimum(share / 0.02, 1)[..., None]
-    distance = np.abs(colour - overall - trust * (local - overall)) @ np.ones(3, np.float32)
+    red, green, blue = np.moveaxis(np.abs(colour - overall - trust * (local - overall)), 2, 0)
+    distance = red + green + blue
     return np.log(distance + 0.02)
 
 

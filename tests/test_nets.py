@@ -47,23 +47,70 @@ def test_matching_equals_the_naive_loops(seed: int, width: int) -> None:
     pair = random_pair(seed, width)
     expected = naive_lookup(*pair, 2)
     torch.testing.assert_close(volume.lookup(*pair, 2), expected, atol=1e-5, rtol=1e-5)
-    torch.testing.assert_close(matching.lookup(*pair, 2), expected, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(matching.lookup_units(*pair, 2), expected, atol=1e-5, rtol=1e-5)
 
 
 def test_the_kernels_gradients_equal_those_of_plain_torch() -> None:
     pair = [t.requires_grad_() for t in random_pair(3)]
-    ours, twin = matching.lookup(*pair, 2), volume.lookup(*pair, 2)
+    ours, twin = matching.lookup_units(*pair, 2), volume.lookup(*pair, 2)
     push = torch.randn(ours.shape, generator=torch.Generator().manual_seed(1))
     for a, b in zip(torch.autograd.grad(ours, pair, push), torch.autograd.grad(twin, pair, push), strict=True):
         torch.testing.assert_close(a, b, atol=1e-5, rtol=1e-5)
 
 
+def features(seed: int, width: int = 9) -> tuple[Tensor, Tensor, Tensor]:
+    """Features (b, c, h, w) as a head leaves them, and disparities."""
+    left, right, disparity_px = random_pair(seed, width)
+    return 3 * left.permute(0, 3, 1, 2), 3 * right.permute(0, 3, 1, 2), disparity_px
+
+
+def naive_volume(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
+    return naive_lookup(volume.unit(left, groups), volume.unit(right, groups), disparity_px, groups)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 10**6), width=st.integers(2, 90), groups=st.sampled_from([1, 2, 4, 8]))
+def test_volumes_equal_the_naive_loops(seed: int, width: int, groups: int) -> None:
+    left, right, disparity_px = features(seed, width)
+    expected = naive_volume(left, right, disparity_px, groups)
+    for grad in (torch.no_grad(), torch.enable_grad()):
+        with grad:
+            found = matching.lookup(left, right, disparity_px, groups, also=disparity_px)
+            torch.testing.assert_close(found[:, :groups], expected, atol=1e-5, rtol=1e-5)
+            torch.testing.assert_close(found[:, groups], disparity_px)
+            torch.testing.assert_close(matching.lookup(left, right, disparity_px, groups), found[:, :groups])
+
+
+def test_bf16_features_are_multiplied_in_float32() -> None:
+    left, right, disparity_px = features(2)
+    left, right = left.to(torch.bfloat16), right.to(torch.bfloat16)
+    expected = naive_volume(left.float(), right.float(), disparity_px, 2)
+    with torch.no_grad():
+        found = matching.lookup(left, right, disparity_px, 2)
+    assert found.dtype == torch.bfloat16
+    torch.testing.assert_close(found, expected.to(torch.bfloat16), atol=0, rtol=2**-8)
+
+
 def test_a_full_range_is_a_lookup_at_whole_disparities() -> None:
-    left, right, _ = random_pair(5)
-    every = torch.arange(4.0).expand(2, 3, 9, 4)
-    expected = naive_lookup(left, right, every, 2)
-    for function in (matching.correlate, volume.correlate):
-        torch.testing.assert_close(function(left, right, 2, 4), expected, atol=1e-5, rtol=1e-5)
+    left, right, _ = features(5)
+    expected = naive_volume(left, right, torch.arange(4.0).expand(2, 3, 9, 4), 2)
+    with torch.no_grad():
+        found = matching.correlate(left, right, 2, 4)
+    twin = volume.correlate(volume.unit(left, 2), volume.unit(right, 2), 2, 4)
+    for volume_ in (found, matching.correlate(left, right, 2, 4), twin):
+        torch.testing.assert_close(volume_, expected, atol=1e-5, rtol=1e-5)
+
+
+def test_matches_stand_between_other_maps() -> None:
+    left, right, disparity_px = features(8)
+    before, after = [torch.rand(2, 3, 9, 2), torch.rand(2, 3, 9, 1)], [torch.rand(2, 3, 9, 3), torch.rand(2, 3, 9, 1)]
+    matches = naive_volume(left, right, disparity_px, 2).permute(0, 2, 3, 1, 4).flatten(3)
+    expected = torch.cat([*before, matches, *after], dim=3).permute(0, 3, 1, 2)
+    for grad in (torch.no_grad(), torch.enable_grad()):
+        with grad:
+            found = matching.lookup_beside(before, left, right, disparity_px, 2, after)
+        torch.testing.assert_close(found, expected, atol=1e-5, rtol=1e-5)
+        assert found.is_contiguous(memory_format=torch.channels_last)
 
 
 def test_concatenation_puts_matching_columns_side_by_side() -> None:
@@ -113,15 +160,6 @@ def test_bytes_go_in_as_floats_do(seed: int, kind: torch.dtype, height: int) -> 
         assert ours.dtype == kind
         torch.testing.assert_close(ours, theirs, atol=1e-6, rtol=0 if kind == torch.float32 else 2**-7)
         assert torch.equal(twin, theirs)
-
-
-def test_flat_matches_are_matches() -> None:
-    pair = random_pair(8)
-    expected = volume.lookup(*pair, 2)
-    for grad in (torch.no_grad(), torch.enable_grad()):
-        with grad:
-            found = matching.lookup_flat(*pair, 2)
-        torch.testing.assert_close(found.unflatten(3, (2, 4)).permute(0, 3, 1, 2, 4), expected, atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.skipif(not available(), reason="this torch build has no fused convolutions")

@@ -3,17 +3,27 @@
 import numpy as np
 from numba import njit, prange
 
+from priors.kernels.floats import Bits, exponentiate, widen
 from priors.types import FloatMap
 
 
 @njit(cache=True, nogil=True, fastmath=True, parallel=True)
-def upsample(values: FloatMap, share: FloatMap, factor: int, out: FloatMap) -> None:
-    """Write averages of values (b, c, h, w) by positive shares (b, h, w, factor^2 * 9): (b, c, h * factor, ...)."""
+def upsample(values: FloatMap, logits: Bits, factor: int, largest: float, out: FloatMap) -> None:
+    """Write averages of values (b, c, h, w) by softmax(logits (b, h, w, factor^2 * 9)): (b, c, h * factor, ...).
+
+    Logits are stored in 16 or 32 bits, and held between -largest and largest.
+    """
     batch, channels, height, width = values.shape
     for row in prange(batch * height):
         b, y = row // height, row % height
         above, below = max(y - 1, 0), min(y + 1, height - 1)
         around = np.empty((channels, 9), np.float32)
+        share, scratch = np.empty(logits[b, y].size, np.float32), np.empty(logits[b, y].size, np.float32)
+        widen(logits[b, y].reshape(-1), share)
+        for k in range(share.size):
+            share[k] = min(max(share[k], np.float32(-largest)), np.float32(largest))
+        exponentiate(share, scratch)
+        shares = share.reshape((width, factor * factor, 9))
         for x in range(width):
             left, right = max(x - 1, 0), min(x + 1, width - 1)
             for c in range(channels):
@@ -22,7 +32,7 @@ def upsample(values: FloatMap, share: FloatMap, factor: int, out: FloatMap) -> N
                 around[c, 3], around[c, 4], around[c, 5] = line[y, left], line[y, x], line[y, right]
                 around[c, 6], around[c, 7], around[c, 8] = line[below, left], line[below, x], line[below, right]
             for part in range(factor * factor):
-                weights = share[b, y, x, 9 * part : 9 * part + 9]
+                weights = shares[x, part]
                 total = np.float32(0)
                 for k in range(9):
                     total += weights[k]

@@ -5,53 +5,48 @@ import math
 import numpy as np
 from numba import njit, prange
 
+from priors.kernels.floats import Bits, exponentiate, widen
 from priors.types import FloatMap
+
+STRETCH = 1024
+"""Pixels that a thread takes at a time."""
 
 
 @njit(cache=True, nogil=True, fastmath=True, parallel=True)
-def expect(logits: FloatMap, position_px: FloatMap, window: int, mean: FloatMap, sigma: FloatMap) -> None:
-    """Write mean and deviation (n,) of the distributions that logits (n, planes) describe.
+def expect(logits: Bits, position_px: FloatMap, window: int, mean: FloatMap, sigma: FloatMap) -> None:
+    """Write mean and deviation (n,) of the distributions that logits (n, planes), in 16 or 32 bits, describe.
 
     position_px is (n, planes) or (1, planes). The mean is over `window` planes to each side of the likeliest, the
-    deviation over all. Pixels are handed to threads in stretches.
+    deviation over all.
     """
     count, planes = logits.shape
     own = position_px.shape[0] > 1
-    stretches = -(-count // 1024)
-    for stretch in prange(stretches):
-        share = np.empty(planes, np.float32)
-        for n in range(1024 * stretch, min(count, 1024 * (stretch + 1))):
-            position = position_px[n if own else 0]
+    for stretch in prange(-(-count // STRETCH)):
+        start, end = STRETCH * stretch, min(count, STRETCH * (stretch + 1))
+        flat, scratch = np.empty((end - start) * planes, np.float32), np.empty((end - start) * planes, np.float32)
+        widen(logits[start:end].reshape(-1), flat)
+        shares = flat.reshape((end - start, planes))
+        likeliest = np.empty(end - start, np.int64)
+        for n in range(end - start):
             best = 0
             for k in range(1, planes):
-                if logits[n, k] > logits[n, best]:
+                if shares[n, k] > shares[n, best]:
                     best = k
-            most = logits[n, best]
+            most = shares[n, best]
+            likeliest[n] = best
+            for k in range(planes):
+                shares[n, k] = max(shares[n, k] - most, np.float32(-80))
+        exponentiate(flat, scratch)
+        for n in range(end - start):
+            position = position_px[start + n if own else 0]
             whole, part, middle = np.float32(0), np.float32(0), np.float32(0)
             for k in range(planes):
-                share[k] = math.exp(logits[n, k] - most)
-                whole += share[k]
-                if abs(k - best) <= window:
-                    part += share[k]
-                    middle += share[k] * position[k]
+                whole += shares[n, k]
+                if abs(k - likeliest[n]) <= window:
+                    part += shares[n, k]
+                    middle += shares[n, k] * position[k]
             middle /= part
             variance = np.float32(0)
             for k in range(planes):
-                variance += share[k] * (position[k] - middle) ** 2
-            mean[n], sigma[n] = middle, math.sqrt(variance / whole + np.float32(1e-6))
-
-
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
-def unit(features: FloatMap, groups: int, out: FloatMap) -> None:
-    """Write features (rows, w, c) with every group of channels of length 1; nets/volume.unit is the twin."""
-    rows, width, channels = features.shape
-    size = channels // groups
-    for row in prange(rows):
-        for x in range(width):
-            for group in range(groups):
-                total = np.float32(1e-4)
-                for k in range(group * size, (group + 1) * size):
-                    total += features[row, x, k] * features[row, x, k]
-                scale = np.float32(1) / math.sqrt(total)
-                for k in range(group * size, (group + 1) * size):
-                    out[row, x, k] = features[row, x, k] * scale
+                variance += shares[n, k] * (position[k] - middle) ** 2
+            mean[start + n], sigma[start + n] = middle, math.sqrt(variance / whole + np.float32(1e-6))

@@ -2,12 +2,12 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+from numba import njit, prange
 
 from priors.types import FloatMap, Image, Mask
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
 def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap]:
     """Average blocks of factor x factor pixels of an RGB image; blocks at the right and bottom edge may be smaller.
 
@@ -18,7 +18,7 @@ def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap
     rows, columns = (height + factor - 1) // factor, (width + factor - 1) // factor
     colour = np.empty((rows, columns, 3), np.float32)
     spread_ = np.empty((rows, columns), np.float32)
-    for i in range(rows):
+    for i in prange(rows):
         top, bottom = i * factor, min(height, (i + 1) * factor)
         for j in range(columns):
             left, right = j * factor, min(width, (j + 1) * factor)
@@ -107,7 +107,25 @@ def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArra
     return model
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+def dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap) -> None:
+    """Write a dense layer's answer weights.T @ values + bias (outputs, n) for values (inputs, n).
+
+    A matrix library does this no faster, and its threads would spin on for longer than the rest of the mask takes.
+    """
+    count = values.shape[1]
+    for stretch in prange(-(-count // 512)):
+        start, end = 512 * stretch, min(count, 512 * (stretch + 1))
+        for j in range(weights.shape[1]):
+            line = out[j, start:end]
+            line[:] = bias[j]
+            for i in range(weights.shape[0]):
+                weight, given = weights[i, j], values[i, start:end]
+                for n in range(end - start):
+                    line[n] += weight * given[n]
+
+
+@njit(cache=True, nogil=True, fastmath=True, parallel=True)
 def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> Mask:
     """Evaluate a blockwise linear model at every pixel: a . colour + b > 0.5, coefficients interpolated bilinearly.
 
@@ -119,7 +137,6 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
     height, width, _ = image.shape
     rows, columns, _ = model.shape
     mask = np.empty((height, width), np.bool_)
-    line = np.empty((columns, 4), np.float32)
     block = np.empty(width, np.int64)
     part = np.empty(width, np.float32)
     for x in range(width):
@@ -127,7 +144,8 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
         block[x] = min(int(u), max(columns - 2, 0))
         part[x] = u - block[x]
     scale = np.float32(1 / 255)
-    for y in range(height):
+    for y in prange(height):
+        line = np.empty((columns, 4), np.float32)
         v = min(max((y + 0.5) / factor - 0.5, 0.0), rows - 1.0)
         i = min(int(v), max(rows - 2, 0))
         below, f = min(i + 1, rows - 1), np.float32(v - i)

@@ -14,7 +14,7 @@ from priors.matching import to_grey
 from priors.nets import runtime, weights
 from priors.nets.confidence import Calibration
 from priors.nets.export import Graph, Graphs
-from priors.types import FloatMap, Image, Mask
+from priors.types import FloatMap, Image
 
 Run = Callable[[Tensor, Tensor, int], tuple[FloatMap, FloatMap, FloatMap]]
 
@@ -94,21 +94,23 @@ def _open(name: str, size: str, chosen: runtime.Runtime, path: Path, _digest: st
 def busy(left: Image, right: Image) -> tuple[slice, slice]:
     """Return the rows and columns between the empty borders that rectification leaves: (rows, columns).
 
-    Empty is what varies by less than two grey levels from its first to its last pixel in both views.
+    Empty is what varies by less than two grey levels from its first to its last pixel in both views. Lines are looked
+    at from the borders inwards, until one varies.
     """
-    rows, columns = np.zeros(left.shape[0], np.bool_), np.zeros(left.shape[1], np.bool_)
-    if left.size:
-        for view in (to_grey(left), to_grey(right)):
-            for varies, axis in ((columns, 0), (rows, 1)):
-                most, least = (cv2.reduce(view, axis, kind).ravel() for kind in (cv2.REDUCE_MAX, cv2.REDUCE_MIN))
-                varies |= most - least >= LEAST_CONTRAST
-    return _span(rows), _span(columns)
+    return _span(left, right), _span(left.swapaxes(0, 1), right.swapaxes(0, 1))
 
 
-def _span(mask: Mask) -> slice:
-    """Return the slice from the first to the last True; an empty one where there is none."""
-    found = np.flatnonzero(mask)
-    return slice(int(found[0]), int(found[-1]) + 1) if found.size else slice(0, 0)
+def _span(left: Image, right: Image) -> slice:
+    """Return the slice from the first to the last line of a pair that varies; an empty one where none does."""
+
+    def varies(line: int) -> bool:
+        greys = (to_grey(np.ascontiguousarray(view[line : line + 1])) for view in (left, right))
+        return any(int(grey.max()) - int(grey.min()) >= LEAST_CONTRAST for grey in greys)
+
+    lines = left.shape[0] if left.size else 0
+    first = next(filter(varies, range(lines)), lines)
+    last = next(filter(varies, range(lines - 1, first - 1, -1)), first - 1)
+    return slice(first, last + 1) if first < lines else slice(0, 0)
 
 
 def count_halvings(size: tuple[int, int], max_disparity_px: int) -> int:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from priors.nets.blocks import Residual, conv, conv3d, side_by_side
 from priors.nets.coarse import WIDTHS, Coarse, double, per_pixel
 from priors.nets.intake import take_in
-from priors.nets.matching import expect, lookup, lookup_flat, unit
+from priors.nets.matching import expect, lookup, lookup_beside
 from priors.nets.outputs import Matched, StereoOut, finer
 from priors.nets.trunk import SIZES, Trunk
 
@@ -61,10 +61,9 @@ class Quarter(nn.Module):
     def forward(self, left: Tensor, right: Tensor, disparity_px: Tensor, sigma_px: Tensor) -> Matched:
         """Search around disparities (b, h, w) with deviations, in quarter pixels."""
         position = self.range(disparity_px, sigma_px)
-        a, b = unit(self.head(left), self.groups), unit(self.head(right), self.groups)
-        match = lookup(a, b, position, self.groups).to(left.dtype)
-        where = ((position - disparity_px[..., None]) * 0.2).to(left.dtype)[:, None]
-        volume = self.first(torch.cat([match, where], dim=1)) * per_pixel(torch.sigmoid(self.gate(left)))
+        where = (position - disparity_px[..., None]) * 0.2
+        match = lookup(self.head(left), self.head(right), position, self.groups, where)
+        volume = self.first(match) * per_pixel(torch.sigmoid(self.gate(left)))
         volume = volume + self.up(double(self.down(volume)))
         logits = self.last(volume).squeeze(1)
         return Matched(*expect(logits, position), logits, position)
@@ -102,11 +101,11 @@ class Half(nn.Module):
         """
         position = self.range(disparity_px, sigmas_px[0])
         seen, other = self._features(*left), self._features(*right)
-        a, b = unit(self.head(seen), self.groups), unit(self.head(other), self.groups)
-        match = lookup_flat(a, b, position, self.groups)
         spread = torch.stack([torch.log(s + 0.05) for s in sigmas_px], dim=3)
         where = position - disparity_px[..., None]
-        body = self.body(side_by_side(seen.permute(0, 2, 3, 1), match, spread, where))
+        heads = self.head(seen), self.head(other)
+        before, after = [seen.permute(0, 2, 3, 1)], [spread, where]
+        body = self.body(lookup_beside(before, *heads, position, self.groups, after))
         logits = self.logits(body).permute(0, 2, 3, 1)
         matched = Matched(*expect(logits, position), logits, position)
         return matched, self.doubt(body), self.weights(body)

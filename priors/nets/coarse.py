@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors.nets.blocks import Exact, conv3d
-from priors.nets.matching import correlate, expect, unit
+from priors.nets.matching import correlate, expect
 from priors.nets.outputs import Matched
 from priors.nets.volume import concatenate
 
@@ -36,8 +36,7 @@ class Coarse(nn.Module):
         """Match features at 1/8, 1/16 and 1/32 over `planes` (a multiple of 4) disparities at 1/8."""
         volumes = []
         for level, head in enumerate(self.heads):
-            a, b = unit(head(left[level + 1]), GROUPS), unit(head(right[level + 1]), GROUPS)
-            volume = correlate(a, b, GROUPS, planes >> level).to(left[0].dtype)
+            volume = correlate(head(left[level + 1]), head(right[level + 1]), GROUPS, planes >> level)
             if self.joined is not None:
                 pair = self.joined[level](left[level + 1]), self.joined[level](right[level + 1])
                 volume = torch.cat([volume, concatenate(*pair, planes >> level)], dim=1)

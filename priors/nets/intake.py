@@ -4,6 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from priors.nets.bits import as_bits
 from priors.nets.dispatch import without_gradient
 from priors.nets.trunk import MULTIPLE, normalise, pad
 
@@ -19,24 +20,23 @@ def take_in(left: Tensor, right: Tensor, kind: torch.dtype) -> tuple[Tensor, Ten
     Returns:
         Both views at a quarter and at half of the size: (2b, 48, h / 4, w / 4) and (2b, 12, h / 2, w / 2), left first.
     """
+    if left.dtype == right.dtype == torch.uint8 and without_gradient(left):
+        return _unshuffle(left, right, kind, 4), _unshuffle(left, right, kind, 2)
     images = torch.cat([left, right])
     if images.dtype == torch.uint8:
-        if without_gradient(images):
-            return _unshuffle(images, kind, 4), _unshuffle(images, kind, 2)
         images = images.float() / 255
     images = pad(normalise(images.float())).to(kind)
     return F.pixel_unshuffle(images, 4), F.pixel_unshuffle(images, 2)
 
 
-def _unshuffle(images: Tensor, kind: torch.dtype, factor: int) -> Tensor:
+def _unshuffle(left: Tensor, right: Tensor, kind: torch.dtype, factor: int) -> Tensor:
     """Do the same in a kernel: 256 values are looked up, not computed."""
     from priors.kernels import intake as kernels
 
-    batch, channels, *size = images.shape
+    batch, channels, *size = left.shape
     rows, columns = (-(-side // MULTIPLE) * MULTIPLE // factor for side in size)
-    out = torch.empty(batch, rows, columns, channels * factor**2, dtype=kind)
-    table = normalise(torch.arange(256) / 255).to(kind)
-    same_size = {2: torch.int16, 4: torch.int32}[kind.itemsize]  # numpy has no bfloat16
-    plain = images.permute(0, 2, 3, 1).contiguous().numpy()
-    kernels.unshuffle(plain, table.view(same_size).numpy(), factor, out.view(same_size).numpy())
+    out = torch.empty(2 * batch, rows, columns, channels * factor**2, dtype=kind)
+    table = as_bits(normalise(torch.arange(256) / 255).to(kind))
+    for view, part in zip((left, right), out.chunk(2), strict=True):
+        kernels.unshuffle(view.permute(0, 2, 3, 1).contiguous().numpy(), table, factor, as_bits(part))
     return out.permute(0, 3, 1, 2)

@@ -1,26 +1,29 @@
 """Matching features at given disparities: fused kernels on CPUs, plain torch (volume.py) on GPUs and for export."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from priors.nets import volume
+from priors.nets.bits import as_bits, rows_of_bits
+from priors.nets.blocks import side_by_side
 from priors.nets.dispatch import on_cpu, without_gradient
 
 
 def unit(features: Tensor, groups: int) -> Tensor:
     """Turn features (b, c, h, w) into (b, h, w, c) of unit length; see volume.unit, which this equals.
 
-    Without gradients the result is float32 on CPUs, as the kernels have it.
+    Without gradients the result is float32 on CPUs.
     """
     if not without_gradient(features):
         return volume.unit(features, groups)
-    from priors.kernels import distribution as kernels
+    from priors.kernels import volume as kernels
 
     plain = features.permute(0, 2, 3, 1)
     out = torch.empty(plain.shape)
-    kernels.unit(_rows(plain), groups, _rows(out))
+    kernels.units(rows_of_bits(plain), groups, out.flatten(0, 1).numpy())
     return out
 
 
@@ -31,7 +34,7 @@ def expect(logits: Tensor, position_px: Tensor, window: int | None = None) -> tu
     from priors.kernels import distribution as kernels
 
     planes = logits.shape[-1]
-    values, positions = (t.float().contiguous().view(-1, planes).numpy() for t in (logits, position_px))
+    values, positions = as_bits(logits.reshape(-1, planes)), position_px.float().reshape(-1, planes).numpy()
     mean, sigma = torch.empty(logits.shape[:-1]), torch.empty(logits.shape[:-1])
     kernels.expect(
         values, positions, planes if window is None else window, mean.view(-1).numpy(), sigma.view(-1).numpy()
@@ -39,30 +42,81 @@ def expect(logits: Tensor, position_px: Tensor, window: int | None = None) -> tu
     return mean, sigma
 
 
-def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
-    """Match at each pixel's own disparities; see volume.lookup, which this equals."""
+def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int, also: Tensor | None = None) -> Tensor:
+    """Match features, brought to unit length, at each pixel's own disparities.
+
+    Args:
+        left: (b, c, h, w); a group's channels are a power of two.
+        right: the same.
+        disparity_px: (b, h, w, planes) in pixels of these features; it gets a gradient.
+        groups: how many channels of the volume.
+        also: (b, h, w, planes), to be told beside the matches.
+
+    Returns:
+        (b, groups, h, w, planes), or groups + 1, of the features' type; see volume.unit and .lookup.
+    """
+    if not without_gradient(left):
+        found = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups).to(left.dtype)
+        return found if also is None else torch.cat([found, also[:, None].to(found.dtype)], dim=1)
+    from priors.kernels import volume as kernels
+
+    out = torch.empty(*disparity_px.shape, groups + (also is not None), dtype=left.dtype)
+    told = torch.empty(0, 0, 0) if also is None else also.flatten(0, 1)
+    kernels.match(*_pair(left, right), _rows(disparity_px), groups, told.numpy(), as_bits(out.flatten(0, 1)))
+    return out.permute(0, 4, 1, 2, 3)
+
+
+def lookup_beside(
+    before: Sequence[Tensor], left: Tensor, right: Tensor, disparity_px: Tensor, groups: int, after: Sequence[Tensor]
+) -> Tensor:
+    """Match as `lookup` does, for 2D convolutions: the matches stand between other maps.
+
+    Args:
+        before: maps (b, h, w, c), the first one's type is the result's.
+        left: features as `lookup` takes them.
+        right: the same.
+        disparity_px: (b, h, w, planes).
+        groups: how many matches a plane has; in the result the planes vary fastest.
+        after: maps (b, h, w, c), float32.
+
+    Returns:
+        (b, sum of c + groups * planes, h, w), channels-last.
+    """
+    if not without_gradient(left):
+        found = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups)
+        return side_by_side(*before, found.permute(0, 2, 3, 1, 4).flatten(3), *after)
+    from priors.kernels import volume as kernels
+
+    first = before[0] if len(before) == 1 else torch.cat([map_.to(before[0].dtype) for map_ in before], dim=3)
+    behind = torch.cat(list(after), dim=3)
+    channels = first.shape[3] + groups * disparity_px.shape[3] + behind.shape[3]
+    out = torch.empty(*first.shape[:3], channels, dtype=first.dtype)
+    kernels.match_beside(
+        rows_of_bits(first), *_pair(left, right), _rows(disparity_px), groups, _rows(behind), as_bits(out.flatten(0, 1))
+    )
+    return out.permute(0, 3, 1, 2)
+
+
+def correlate(left: Tensor, right: Tensor, groups: int, planes: int) -> Tensor:
+    """Match at disparities 0 .. planes - 1: (b, groups, h, w, planes), as `lookup` does."""
+    if not on_cpu(left):
+        return volume.correlate(volume.unit(left, groups), volume.unit(right, groups), groups, planes)
+    batch, _, height, width = left.shape
+    disparity_px = torch.arange(planes, dtype=torch.float32).expand(batch, height, width, planes)
+    return lookup(left, right, disparity_px, groups)
+
+
+def lookup_units(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
+    """Match unit features (b, h, w, c) with gradients, or on a GPU, or for export; see volume.lookup."""
     if not on_cpu(left):
         return volume.lookup(left, right, disparity_px, groups)
     found: Tensor = _Match.apply(left, right, disparity_px, groups)
     return found.permute(0, 4, 1, 2, 3)
 
 
-def lookup_flat(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
-    """Match as `lookup` does, for 2D convolutions: (b, h, w, groups * planes), the planes fastest."""
-    if not without_gradient(left):
-        return lookup(left, right, disparity_px, groups).permute(0, 2, 3, 1, 4).flatten(3)
-    planes = disparity_px.shape[3]
-    out = torch.empty(*left.shape[:3], groups, planes)
-    _match(left, right, disparity_px, groups, out.transpose(3, 4))
-    return out.flatten(3)
-
-
-def correlate(left: Tensor, right: Tensor, groups: int, planes: int) -> Tensor:
-    """Match at disparities 0 .. planes - 1; see volume.correlate, which this equals."""
-    if not on_cpu(left):
-        return volume.correlate(left, right, groups, planes)
-    disparity_px = torch.arange(planes, dtype=torch.float32).expand(*left.shape[:3], planes)
-    return lookup(left, right, disparity_px, groups)
+def _pair(left: Tensor, right: Tensor) -> tuple[Any, Any]:
+    """View features (b, c, h, w) as rows of bits (b * h, w, c)."""
+    return rows_of_bits(left.permute(0, 2, 3, 1)), rows_of_bits(right.permute(0, 2, 3, 1))
 
 
 class _Match(torch.autograd.Function):
@@ -71,8 +125,10 @@ class _Match(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
         ctx.save_for_backward(left, right, disparity_px)
+        from priors.kernels import lookup as kernels
+
         out = torch.empty(*disparity_px.shape, groups)
-        _match(left, right, disparity_px, groups, out)
+        kernels.match(*(_rows(t) for t in (left, right, disparity_px)), groups, out.flatten(0, 1).numpy())
         return out.to(left.dtype)
 
     @staticmethod
@@ -85,13 +141,6 @@ class _Match(torch.autograd.Function):
         d_disparity = torch.empty(disparity_px.shape)
         kernels.match_backward(*rows, _rows(d_out[0]), *(_rows(t) for t in (d_left, d_right, d_disparity)))
         return d_left.to(left.dtype), d_right.to(right.dtype), d_disparity.to(disparity_px.dtype), None
-
-
-def _match(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int, out: Tensor) -> None:
-    """Write matches into out (b, h, w, planes, groups), float32, its first three dimensions dense."""
-    from priors.kernels import lookup as kernels
-
-    kernels.match(*(_rows(t) for t in (left, right, disparity_px)), groups, out.flatten(0, 1).numpy())
 
 
 def _rows(tensor: Tensor) -> Any:

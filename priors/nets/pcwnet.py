@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from priors.nets.blocks import Residual, conv, side_by_side
 from priors.nets.coarse import WIDTHS, Coarse
 from priors.nets.intake import take_in
-from priors.nets.matching import lookup_flat, unit
+from priors.nets.matching import lookup_beside, unit
 from priors.nets.outputs import Matched, StereoOut, finer
 from priors.nets.trunk import SIZES, Trunk
 from priors.nets.volume import shift
@@ -44,13 +44,14 @@ class Warping(nn.Module):
 
         Returns the refined disparity (b, h, w), upsampling logits (b, 36, h, w) and features (b, width, h, w).
         """
-        a, b = unit(self.head(left), GROUPS), unit(self.head(right), GROUPS)
+        ours, theirs = self.head(left), self.head(right)
         here_px = disparity_px.detach()
         step = torch.arange(-self.reach_px, self.reach_px + 1, device=left.device, dtype=torch.float32)
-        volume = lookup_flat(a, b, here_px[..., None] + step, GROUPS)
-        difference = a - shift(b, here_px)
+        difference = unit(ours, GROUPS) - shift(unit(theirs, GROUPS), here_px)
         known = torch.stack([here_px * 0.05, torch.log(sigma_px.detach() + 0.05)], dim=3)
-        body = self.body(self.first(side_by_side(left.permute(0, 2, 3, 1), difference, volume, known)))
+        before = [left.permute(0, 2, 3, 1), difference]
+        compared = lookup_beside(before, ours, theirs, here_px[..., None] + step, GROUPS, [known])
+        body = self.body(self.first(compared))
         refined = (disparity_px + self.change(body)[:, 0].float()).clamp(min=0)
         return refined, self.weights(body), body
 

@@ -4,6 +4,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from priors.nets.bits import as_bits
 from priors.nets.dispatch import without_gradient
 
 LARGEST = 30.0
@@ -39,8 +40,7 @@ def _on_cpu(values: Tensor, weights: Tensor, factor: int) -> Tensor:
     from priors.kernels import convex as kernels
 
     batch, channels, height, width = values.shape
-    share = weights.permute(0, 2, 3, 1).to(torch.float32, memory_format=torch.contiguous_format, copy=True)
-    share.clamp_(-LARGEST, LARGEST).exp_()
     out = torch.empty(batch, channels, factor * height, factor * width)
-    kernels.upsample(values.float().contiguous().numpy(), share.numpy(), factor, out.numpy())
+    logits = as_bits(weights.permute(0, 2, 3, 1))
+    kernels.upsample(values.float().contiguous().numpy(), logits, factor, LARGEST, out.numpy())
     return out
