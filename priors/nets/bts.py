@@ -19,6 +19,7 @@ from torch import Tensor, nn
 
 from priors.errors import DataError
 from priors.nets.blocks import Exact, conv
+from priors.nets.join import join
 from priors.nets.mobile import Mobile
 from priors.nets.trunk import SIZES, Trunk, normalise, pad
 
@@ -90,8 +91,7 @@ class Bts(nn.Module):
         context = self.context(levels[1])
         log_m, slopes = self._planes(self.coarse, context, STEEPEST_EIGHTH)
         guide = F.pixel_shuffle(log_m - torch.log(tilt(slopes, 2)), 2)
-        below = F.interpolate(self.lower(context), scale_factor=2.0, mode="nearest")
-        merged = self.merge(torch.cat([levels[0], below, guide.to(below.dtype)], dim=1))
+        merged = self.merge(join(levels[0], self.lower(context), guide.to(levels[0].dtype)))
         change, slopes, sky, scale = torch.split(self.fine(merged), [1, 2, 1, 1], dim=1)
         inverse = torch.exp(-guide - change.clamp(-3, 3))
         fine = upsample(inverse, STEEPEST_QUARTER * torch.tanh(slopes), sky, planar(self.mix, merged), 4)[

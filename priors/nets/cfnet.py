@@ -11,12 +11,12 @@ in the last stage. Confidence is the probability of an error below 1 px, read fr
 """
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import Residual, conv, conv3d, side_by_side
+from priors.nets.blocks import Residual, conv, conv3d
 from priors.nets.coarse import WIDTHS, Coarse, double, per_pixel
 from priors.nets.intake import take_in
+from priors.nets.join import join
 from priors.nets.matching import expect, lookup, lookup_beside
 from priors.nets.outputs import Matched, StereoOut, finer
 from priors.nets.trunk import SIZES, Trunk
@@ -111,8 +111,7 @@ class Half(nn.Module):
         return matched, self.doubt(body), self.weights(body)
 
     def _features(self, image: Tensor, quarter: Tensor) -> Tensor:
-        above = F.interpolate(self.lift(quarter), scale_factor=2.0, mode="nearest")
-        return self.features(side_by_side(image.permute(0, 2, 3, 1), above.permute(0, 2, 3, 1)))
+        return self.features(join(image, self.lift(quarter)))
 
 
 class Cfnet(nn.Module):

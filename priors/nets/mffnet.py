@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from priors.errors import DataError
 from priors.nets.blocks import Residual, conv
+from priors.nets.join import join
 from priors.nets.trunk import normalise, pad
 
 SIZES: dict[str, tuple[int, ...]] = {"s": (16, 32, 48, 64, 96), "m": (16, 48, 64, 96, 128)}
@@ -103,11 +104,9 @@ class Mffnet(nn.Module):
         fused = [fuse(a, b) for fuse, a, b in zip(self.fuse, images[1:], depths[1:], strict=True)]
         first = second = fused[-1]
         for level in range(len(fused) - 2, -1, -1):
-            above = F.interpolate(self.lower[level + 1](first), scale_factor=2.0, mode="nearest")
-            first = self.up[level](torch.cat([above, depths[level + 1]], dim=1))
-            second = self.ladder[level](torch.cat([F.pixel_shuffle(second, 2), fused[level]], dim=1))
-        above = F.interpolate(self.lower[0](first), scale_factor=2.0, mode="nearest")
-        found = self.meet(torch.cat([above, F.pixel_shuffle(second, 2), depths[0], images[0]], dim=1))
+            first = self.up[level](join(self.lower[level + 1](first), depths[level + 1]))
+            second = self.ladder[level](join(F.pixel_shuffle(second, 2), fused[level]))
+        found = self.meet(join(self.lower[0](first), F.pixel_shuffle(second, 2), depths[0], images[0]))
         raw: Tensor = self.head(found)
         return raw
 
@@ -122,7 +121,7 @@ class Fuse(nn.Module):
 
     def forward(self, image: Tensor, depth: Tensor) -> Tensor:
         """Fuse."""
-        joint: Tensor = self.joint(torch.cat([image, depth], dim=1))
+        joint: Tensor = self.joint(join(image, depth))
         return joint + torch.lerp(depth, image, torch.sigmoid(self.gate(joint)))
 
 

@@ -9,12 +9,12 @@ The paper starts at 1/4, puts the volume at full size and warps there; a CPU can
 """
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import Residual, conv, side_by_side
+from priors.nets.blocks import Residual, conv
 from priors.nets.coarse import WIDTHS, Coarse
 from priors.nets.intake import take_in
+from priors.nets.join import join
 from priors.nets.matching import lookup_beside, unit
 from priors.nets.outputs import Matched, StereoOut, finer
 from priors.nets.trunk import SIZES, Trunk
@@ -88,8 +88,7 @@ class Pcwnet(nn.Module):
         if stages == 2:
             return StereoOut.unfinished([coarse, Matched(disparity4, sigma)], size)
         disparity, sigma = finer([disparity4, sigma], weights)
-        above = F.interpolate(self.lift(levels[0]), scale_factor=2.0, mode="nearest")
-        a, b = self.features(side_by_side(halves.permute(0, 2, 3, 1), above.permute(0, 2, 3, 1))).chunk(2)
+        a, b = self.features(join(halves, self.lift(levels[0]))).chunk(2)
         disparity2, weights, body = self.fine(a, b, disparity, sigma)
         found = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)]
         return StereoOut.whole(finer([disparity2, sigma], weights), self.doubt(body), found, size, self.training)

@@ -5,11 +5,11 @@ Pixel-unshuffle turns 4x4 pixels into channels, so that no convolution ever runs
 
 from itertools import pairwise
 
-import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors.nets.blocks import Residual, conv
+from priors.nets.join import join
 
 SIZES: dict[str, tuple[int, int, int, int]] = {
     "s": (32, 64, 96, 128),
@@ -33,8 +33,7 @@ class Pyramid(nn.Module):
     def join(self, levels: list[Tensor]) -> list[Tensor]:
         """Mend features (b, channels, h, w), finest first, from the coarsest on; the list is changed."""
         for index in range(len(levels) - 2, -1, -1):
-            above = F.interpolate(self.lower[index](levels[index + 1]), scale_factor=2.0, mode="nearest")
-            levels[index] = self.up[index](torch.cat([above, levels[index]], dim=1))
+            levels[index] = self.up[index](join(self.lower[index](levels[index + 1]), levels[index]))
         return levels
 
 
