@@ -21,6 +21,7 @@ EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill
   priors train stereo runs/cfnet-s --street samples/ --net cfnet --size s --minutes 90
   priors train stereo runs/cfnet-s --street samples/ --real DATA --minutes 240
   priors train completion runs/mffnet --street samples/ --real DRIVE
+  priors train completion runs/mine --street samples/ --real DRIVE --start mffnet-s.safetensors --lr 0.0005
   priors train mono runs/bts --street samples/
   priors train pack runs/cfnet-s cfnet-s.safetensors    what `--stereo.weights` takes
   priors train calibrate cfnet-s.safetensors --street samples/    stereo's confidence, from what training held back
@@ -56,6 +57,9 @@ class RunArguments:
     """Crops in a step."""
     device: Device = "auto"
     """Where to train; auto: a GPU where there is one."""
+    start: Path | None = None
+    """Weights to start from: those of the tensors that this network has too. A stereo network's stages then all learn
+    from the first step; mono does without ImageNet's."""
     how: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 
@@ -69,8 +73,6 @@ class StereoArguments(RunArguments):
     """Where prepared real data is kept; default: `real` beside the samples."""
     teacher: Path | None = None
     """Folder of a teacher's maps of the odometry frames, see `python -m priors.learn.teach --help`."""
-    start: Path | None = None
-    """Weights to start from: those of the tensors that this network has too. All stages learn from the first step."""
 
 
 @dataclass(frozen=True)
@@ -133,8 +135,6 @@ def stereo_task(args: StereoArguments) -> "Task":
     from priors.nets import runtime
 
     net = runtime.create(args.net, args.size)
-    if args.start is not None:
-        err.print(f"{stereo.start_from(net, args.start)} tensors taken from {args.start}")
     folders = args.street, args.real, args.cache, args.teacher
     schedule = stereo.SCHEDULE if args.start is None else (0, 0)  # what has learned already learns on as a whole
     return stereo.StereoTask(net, data.mixture(*folders), data.validation(*folders, count=10), args.batch, schedule)
@@ -151,13 +151,17 @@ def mono_task(args: RunArguments) -> "Task":
     """Make what the single-image network learns."""
     from priors.learn.mono import MonoConfig, MonoTask
 
-    return MonoTask(MonoConfig(args.street, args.real, args.out / "cache", batch=args.batch, size=args.size))
+    cache, imagenet = args.out / "cache", args.start is None
+    return MonoTask(MonoConfig(args.street, args.real, cache, batch=args.batch, size=args.size, imagenet=imagenet))
 
 
 def train_network(args: RunArguments, task: "Task", net: str) -> None:
     """Train and tell how to use the result."""
     from priors.learn.loop import train
+    from priors.nets import weights
 
+    if args.start is not None:
+        err.print(f"{weights.take(task.net, args.start)} tensors taken from {args.start}")
     with train_progress(args.out.name) as on_step:
         last = train(task, args.out, args.how, {"net": net, "size": args.size}, pick_device(args.device), on_step)
     for name, value in last.items():

@@ -93,6 +93,15 @@ def test_missing_damaged_and_wrong_weights_are_named(tmp_path: Path, monkeypatch
             open_net("cfnet", "m", "fp32", damaged)
 
 
+def test_training_takes_over_what_fits(tmp_path: Path) -> None:
+    path, other = tmp_path / "a.safetensors", Standin("m")
+    weights.write(path, trained(), {}, torch.float32)
+    assert weights.take(other, path) == len(weights.load(path).tensors)
+    assert torch.equal(other.features[0].weight, trained().features[0].weight)
+    with pytest.raises(DataError, match=r"a.safetensors: no tensor fits this network"):
+        weights.take(torch.nn.Conv2d(1, 2, 3), path)
+
+
 def test_a_changed_file_is_loaded_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = install(monkeypatch, tmp_path)
     first = open_net("cfnet", "m", "fp32")

@@ -7,7 +7,6 @@ spread is what the error is: the next stage's range and the confidence rest on i
 """
 
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -21,7 +20,6 @@ from priors.learn.data import collate
 from priors.learn.loop import Batch
 from priors.learn.pair import Item
 from priors.learn.weighing import mean
-from priors.nets import weights
 from priors.nets.outputs import Matched, StereoOut
 from priors.types import Image
 
@@ -106,15 +104,6 @@ class StereoTask:
             truth = colour_depth(truth_m, 4.0, 100.0)
             shown[item["source"]] = np.concatenate([left, truth, coloured, sure])
         return shown
-
-
-def start_from(net: nn.Module, file: Path) -> int:
-    """Take over the weights whose names and shapes fit; returns how many did."""
-    ours = net.state_dict()
-    found = weights.load(file).tensors
-    fitting = {k: v.float() for k, v in found.items() if k in ours and ours[k].shape == v.shape}
-    net.load_state_dict(fitting, strict=False)
-    return len(fitting)
 
 
 def predict(net: nn.Module, item: Item) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:

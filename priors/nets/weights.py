@@ -94,6 +94,19 @@ def fill(net: nn.Module, weights: Weights, name: str, size: str) -> None:
     )
 
 
+def take(net: nn.Module, path: Path) -> int:
+    """Put those of a file's weights into a network whose names and shapes fit; returns how many did.
+
+    Raises DataError where none does.
+    """
+    ours = net.state_dict()
+    fitting = {k: v.float() for k, v in load(path).tensors.items() if k in ours and ours[k].shape == v.shape}
+    if not fitting:
+        raise DataError(f"{path}: no tensor fits this network: start from weights of its kind, or from none")
+    net.load_state_dict(fitting, strict=False)
+    return len(fitting)
+
+
 def write(path: Path, net: nn.Module, about: dict[str, Any], dtype: torch.dtype = torch.float16) -> None:
     """Write a network's weights, atomically: kernels as dtype, everything else (norms, biases) as float32."""
     tensors = {
