@@ -26,6 +26,8 @@ from priors.errors import DataError
 from priors.types import FloatMap, Image
 
 PNG_SCALE = {"kitti": 256.0, "mm": 1000.0}
+FARTHEST_M = 250.0
+"""The farthest that methods answer: what a kitti depth PNG holds, less a little."""
 LARGEST_CODE = 65535
 
 

@@ -19,6 +19,7 @@ from priors.learn.adapt import AdaptConfig, adapt, training_views
 from priors.learn.measured import Measured
 from priors.learn.mono import loss, nearest_of_cells, silog
 from priors.learn.views import SKY, SURFACE, View, cut
+from priors.methods.known import READS
 from priors.methods.mono import Mono
 from priors.nets import bts, mobile, weights
 from priors.nets.blocks import channels_last, fold
@@ -265,8 +266,8 @@ def test_held_out_frames_are_not_read(file: Path, tmp_path: Path, kind: Any, spa
 def test_adapting_reads_no_held_out_frame_and_is_kept(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(__import__("priors.methods._mono_known").methods._mono_known.READS, "lidar", ("sparse",))
-    known = "priors.methods._mono_known.Known.__call__"
+    monkeypatch.setitem(READS, "lidar", ("sparse",))
+    known = "priors.methods.known.Known.__call__"
     monkeypatch.setattr(known, lambda self, frame: frame.sparse().depth_m)
     drive, notes = Road(12, closed=(9,)), []
     method = Mono(weights=file, size="s", adapt="lidar", adapt_s=0.5, runtime="fp32").resolve(drive[0])

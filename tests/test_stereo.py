@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from reference import stereo as reference
 
+from priors.codecs import FARTHEST_M
 from priors.diffusion import diffuse
 from priors.drives import DriveOptions, open_drive
 from priors.errors import DataError
 from priors.kernels.diffusion import diffuse_columns, link_columns
 from priors.kernels.occlusion import fill_occlusions
 from priors.matching import find_max_disparity, halve, match, quick_match, unlock
-from priors.methods.stereo import LARGEST_M, Stereo
+from priors.methods.stereo import Stereo
 from priors.offset import NONE, fit_offset
 from priors.types import Camera, Depth, Frame, Sweep
 
@@ -176,7 +177,7 @@ def test_any_size(size: tuple[int, int]) -> None:
     image = texture(max(8, size[0]), max(8, size[1]))[: size[0], : size[1]].clip(0, 255).astype(np.uint8)
     depth = IMAGES_ONLY(frame(image, np.roll(image, -4, axis=1)))
     assert depth.depth_m.shape == size and depth.confidence is not None
-    assert np.isfinite(depth.depth_m).all() and depth.depth_m.min() >= 0 and depth.depth_m.max() <= LARGEST_M * 1.001
+    assert np.isfinite(depth.depth_m).all() and depth.depth_m.min() >= 0 and depth.depth_m.max() <= FARTHEST_M * 1.001
 
 
 @pytest.mark.parametrize("image", [np.zeros((60, 90), np.uint8), np.full((60, 90, 3), 255, np.uint8)])

@@ -10,10 +10,11 @@ from standin import install
 from test_stereo import BASELINE_M, FX, frame, pair, scene
 
 from priors import build
+from priors.codecs import FARTHEST_M
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.methods import _stereo_network as network
-from priors.methods.stereo import LARGEST_M, Stereo
+from priors.methods.stereo import Stereo
 from priors.nets import runtime, weights
 from priors.offset import NONE
 from priors.types import Depth
@@ -31,7 +32,7 @@ def finite(depth: Depth, shape: tuple[int, int]) -> bool:
     """Tell whether a map has its frame's size, and only values that a map may have."""
     assert depth.confidence is not None
     good = np.isfinite(depth.depth_m).all() and np.isfinite(depth.confidence).all()
-    good &= bool(depth.depth_m.min() >= 0 and depth.depth_m.max() <= LARGEST_M * 1.001)
+    good &= bool(depth.depth_m.min() >= 0 and depth.depth_m.max() <= FARTHEST_M * 1.001)
     good &= bool(depth.confidence.min() >= 0 and depth.confidence.max() <= 1)
     return bool(good) and depth.depth_m.shape == shape and not depth.confidence[depth.depth_m == 0].any()
 
@@ -129,7 +130,7 @@ def test_nothing_is_known_beyond_what_a_map_holds() -> None:
     left, _, _ = scene()
     depth = NET(frame(left, left))
     assert depth.valid.all() and depth.confidence is not None
-    assert not depth.confidence[depth.depth_m > LARGEST_M * 0.999].any()
+    assert not depth.confidence[depth.depth_m > FARTHEST_M * 0.999].any()
 
 
 @MODELS

@@ -14,7 +14,7 @@ from priors.learn.clips import pair_up
 from priors.learn.measured import Measured
 from priors.learn.video import LEARNING_RATE, Video, read_clip
 from priors.learn.views import View, label_sky
-from priors.methods._mono_known import Known
+from priors.methods.known import Known
 from priors.types import Drive, Frame, Matrix
 
 

@@ -29,6 +29,7 @@ from torch import Tensor, nn
 from priors import codecs
 from priors.errors import DataError
 from priors.learn.config import TrainConfig
+from priors.nets import weights
 from priors.nets.blocks import channels_last
 from priors.types import Image
 
@@ -124,9 +125,9 @@ class _Run:
         self.net = channels_last(task.net.to(self.device))
         self.net.train()
         self.average = copy.deepcopy(self.net).eval().requires_grad_(False)
-        weights = [p for p in self.net.parameters() if p.ndim > 1]
+        kernels = [p for p in self.net.parameters() if p.ndim > 1]
         others = [p for p in self.net.parameters() if p.ndim <= 1]
-        groups: list[dict[str, Any]] = [{"params": weights, "weight_decay": config.weight_decay}]
+        groups: list[dict[str, Any]] = [{"params": kernels, "weight_decay": config.weight_decay}]
         groups.append({"params": others, "weight_decay": 0.0})
         self.optimiser = torch.optim.AdamW(groups, lr=config.lr, betas=(0.9, 0.98), fused=True)
         self.step, self.spent_s, self.best = 0, 0.0, math.inf
@@ -216,13 +217,13 @@ class _Run:
             return
         try:
             tensors, state = load_file(path), json.loads(_metadata(path)["state"])
-            self.net.load_state_dict(_part(tensors, "net."))
-            self.average.load_state_dict(_part(tensors, "average."))
+            self.net.load_state_dict(weights.under(tensors, "net."))
+            self.average.load_state_dict(weights.under(tensors, "average."))
         except (RuntimeError, OSError, ValueError, KeyError) as error:
             text = str(error).splitlines()[0]
             raise DataError(f"{path}: not a checkpoint of this network ({text}): choose another --out") from error
         moments: dict[int, dict[str, Tensor]] = {}
-        for name, value in _part(tensors, "adam.").items():
+        for name, value in weights.under(tensors, "adam.").items():
             index, field = name.split(".", 1)
             moments.setdefault(int(index), {})[field] = value
         self.optimiser.load_state_dict({"state": moments, "param_groups": self.optimiser.state_dict()["param_groups"]})
@@ -233,10 +234,6 @@ class _Run:
         self.out.mkdir(parents=True, exist_ok=True)
         with (self.out / "log.jsonl").open("a") as file:
             file.write(json.dumps(line) + "\n")
-
-
-def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
 
 
 def _metadata(path: Path) -> dict[str, str]:

@@ -8,10 +8,8 @@ from torch import Tensor
 
 from priors.learn.loop import Batch
 from priors.learn.mono import loss
-from priors.learn.views import View, collate, crop_size, cut, repaint
+from priors.learn.views import ZOOM, View, collate, crop_size, cut, repaint
 from priors.nets.bts import MonoOut
-
-ZOOM = (0.75, 1.33)
 
 
 @dataclass(frozen=True)

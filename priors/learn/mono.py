@@ -22,7 +22,7 @@ from priors.learn.loop import Batch
 from priors.learn.scans import Streets
 from priors.learn.views import LARGEST_M, SKY, SURFACE, UNKNOWN, View, collate, cut, label_sky, repaint
 from priors.learn.weighing import mean
-from priors.methods._mono_known import trusted
+from priors.methods.known import trusted
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
 from priors.nets import bts

@@ -19,12 +19,11 @@ from priors.learn.hints import hint
 from priors.learn.loop import Batch
 from priors.learn.mono import predict, steps
 from priors.learn.photometric import photometric, roughness
-from priors.learn.views import SKY, SURFACE, UNKNOWN, View, crop_size
+from priors.learn.views import SKY, SURFACE, UNKNOWN, ZOOM, View, crop_size
 from priors.learn.weighing import mean
 from priors.nets.bts import MonoOut
 from priors.types import Drive, Frame
 
-ZOOM = (0.75, 1.33)
 SMALL = 192
 """Crops less high than this are compared at full size, others at half, which is as good and four times as fast."""
 LEVELS = 3

@@ -21,6 +21,8 @@ LARGEST_M = 150.0
 SKY, SURFACE, UNKNOWN = 1, 0, -1
 LARGEST_CROP, MULTIPLE = (256, 512), 32
 """Crops that a network adapts on."""
+ZOOM = (0.75, 1.33)
+"""How much such a crop is scaled, at random."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,13 +9,13 @@ import numpy as np
 
 from priors import align
 from priors.align import Alignment
+from priors.codecs import FARTHEST_M
 from priors.errors import DataError
 from priors.types import Camera, Depth, Drive, FloatMap, Frame, Image
 
 if TYPE_CHECKING:
-    from priors.methods._mono_known import Known
+    from priors.methods.known import Known
 
-LARGEST_M = 250.0  # what a depth PNG holds, less a little
 TOLERANCE_M = 1.0
 MOST_ALIGNED = 12
 Predict = Callable[[Image, Camera], tuple[FloatMap, FloatMap | None]]
@@ -72,7 +72,7 @@ class Mono:
     @property
     def reads(self) -> tuple[str, ...]:
         """Return what a frame must have."""
-        from priors.methods._mono_known import READS
+        from priors.methods.known import READS
 
         per_frame = self.align != "none" and self.align_per == "frame"
         return ("image", *(READS.get(self.align_to, ()) if per_frame else ()))
@@ -167,7 +167,7 @@ class Mono:
 
     @staticmethod
     def _known(source: str, frame: Frame) -> "Known":
-        from priors.methods._mono_known import Known
+        from priors.methods.known import Known
 
         return Known.choose(source, frame)
 
@@ -222,7 +222,7 @@ class Mono:
         if known is not None:
             line = self._fit([(values, known(frame))], f"frame {frame.id}")
         depth_m = values if line is None else line.apply(self._in_space(values))
-        depth_m = np.minimum(depth_m, np.float32(LARGEST_M))
+        depth_m = np.minimum(depth_m, np.float32(FARTHEST_M))
         if error is None:
             return Depth(depth_m)
         with np.errstate(divide="ignore"):

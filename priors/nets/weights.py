@@ -107,6 +107,11 @@ def take(net: nn.Module, path: Path) -> int:
     return len(fitting)
 
 
+def under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
+    """Return the tensors whose names begin with a prefix, without it."""
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
 def write(path: Path, net: nn.Module, about: dict[str, Any], dtype: torch.dtype = torch.float16) -> None:
     """Write a network's weights, atomically: kernels as dtype, everything else (norms, biases) as float32."""
     tensors = {
