@@ -123,15 +123,12 @@ def test_concatenation_puts_matching_columns_side_by_side() -> None:
         assert torch.equal(both[0, 2:, :, x, d], right[0, :, :, x - d] if x >= d else torch.zeros(2, 2))
 
 
-@pytest.mark.parametrize("kind", [torch.float32, torch.bfloat16])
-def test_joined_maps_of_half_the_size_are_repeated(kind: torch.dtype) -> None:
-    whole, half, other = (torch.rand(2, c, 6 // n, 8 // n).to(kind) for c, n in ((3, 1), (5, 2), (1, 1)))
-    with torch.no_grad():
-        found = join(whole, half, other.to(memory_format=torch.channels_last))
-    assert torch.equal(found, join(whole.requires_grad_(), half, other))
-    assert torch.equal(found[:, :3], whole) and torch.equal(found[:, 8:], other)
+def test_joined_maps_of_half_the_size_are_repeated() -> None:
+    whole, half = torch.rand(2, 3, 6, 8), torch.rand(2, 5, 3, 4)
+    found = join(whole, half)
+    assert torch.equal(found[:, :3], whole)
     for y, x in np.ndindex(6, 8):
-        assert torch.equal(found[:, 3:8, y, x], half[:, :, y // 2, x // 2])
+        assert torch.equal(found[:, 3:, y, x], half[:, :, y // 2, x // 2])
 
 
 def test_a_shift_by_a_constant_moves_columns() -> None:
