@@ -168,15 +168,15 @@ def compare(first: Floats, colour: Floats, logit: FloatMap) -> Floats:
     Returns:
         (33, height, width): 14 comparisons, then `first`.
     """
-    from priors.kernels.sky import grow
+    from priors.kernels.sky import grow_all
 
     sky = sigmoid(logit)
     weights = sky * sky, (1 - sky) ** 2
     likelier = log_ratio(first[0], first[4], *weights)
     # The surest sky of the image starts free of charge, even where nothing is quite sure (dusk, grey cameras).
     surest = min(max(float(np.quantile(logit, 0.995)), 0.0), 4.0)
-    from_sky = grow(np.clip(surest - logit, 0, FAR), colour, SLOPE, SLACK)
-    from_rest = grow(np.clip(logit + 4, 0, FAR), colour, SLOPE, SLACK)
+    starts = np.stack([np.clip(surest - logit, 0, FAR), np.clip(logit + 4, 0, FAR)]).astype(np.float32, copy=False)
+    from_sky, from_rest = grow_all(starts, colour, SLOPE, SLACK)
     count = np.arange(1, sky.shape[0] + 1, dtype=np.float32)[:, None]
     evidence = [
         np.clip(logit, -FAR, FAR),

@@ -19,7 +19,7 @@ from priors.methods._completion_network import span
 from priors.methods.completion import Completion, complete, near_samples
 from priors.nets import runtime, weights
 from priors.nets.fused import available, fuse
-from priors.nets.mffnet import LARGEST_CHANGE, SIZES, Mffnet, describe, exchange
+from priors.nets.mffnet import LARGEST_CHANGE, SIZES, Mffnet, _correct, correct, describe, exchange
 from priors.types import Camera, Depth, FloatMap
 
 F = np.float32
@@ -112,6 +112,17 @@ def test_the_result_lies_between_the_branches() -> None:
     assert (first - second).abs().max() > 1e-3
     low, high = torch.minimum(first, second), torch.maximum(first, second)
     assert ((found.depth_m >= low * 0.9999) & (found.depth_m <= high * 1.0001)).all()
+
+
+@pytest.mark.parametrize("kind", [torch.float32, torch.bfloat16])
+def test_the_kernel_of_the_last_step_equals_plain_torch(kind: torch.dtype) -> None:
+    generator = torch.Generator().manual_seed(0)
+    raw = (20 * torch.randn(2, 16, 5, 7, generator=generator)).to(kind).to(memory_format=torch.channels_last)
+    log_fill = torch.randn(2, 9, 13, generator=generator)  # smaller than the padded 10 x 14
+    with torch.no_grad():
+        ours, twin = _correct(raw, log_fill), correct(raw, log_fill)
+    for found, expected in zip(ours[:2], twin[:2], strict=True):
+        torch.testing.assert_close(found, expected, atol=1e-6, rtol=2e-6)
 
 
 def test_both_modalities_matter() -> None:

@@ -77,7 +77,16 @@ def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: 
     return cost
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
+def grow_all(starts: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: float) -> FloatMap:
+    """Spread several costs (n, height, width) as `grow` does one."""
+    costs = np.empty_like(starts)
+    for k in prange(starts.shape[0]):
+        costs[k] = grow(starts[k], colour, slope, slack)
+    return costs
+
+
+@njit(cache=True, nogil=True, parallel=True)
 def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArray[np.float32]:
     """Solve the guided filter's 3x3 systems by Cramer's rule.
 
@@ -90,7 +99,7 @@ def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArra
     """
     _, rows, columns = moments.shape
     model = np.empty((rows, columns, 4), np.float32)
-    for i in range(rows):
+    for i in prange(rows):
         for j in range(columns):
             m = moments[:, i, j].astype(np.float64)
             r, g, b, t = m[0], m[1], m[2], m[3]

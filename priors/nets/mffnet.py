@@ -14,7 +14,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors.errors import DataError
+from priors.nets.bits import as_bits
 from priors.nets.blocks import Residual, conv
+from priors.nets.dispatch import without_gradient
 from priors.nets.join import join
 from priors.nets.trunk import normalise, pad
 
@@ -73,20 +75,14 @@ class Mffnet(nn.Module):
         Returns:
             Depth within e^LARGEST_CHANGE of the pre-fill's, and its expected error.
         """
-        height, width = image.shape[-2:]
         kind = self.head.weight.dtype
         log_fill = fill_m.log()
         depth = describe(log_fill, certain, sparse_m, kind)
         image = normalise(image.to(kind, memory_format=torch.channels_last))
         raw = self._decode(*self._encode(pad(image), pad(depth)))
-        first, second, choice, scale = F.pixel_shuffle(raw, 2)[:, :, :height, :width].float().unbind(dim=1)
-
-        def correct(change: Tensor) -> Tensor:
-            return torch.exp(log_fill + change.clamp(-LARGEST_CHANGE, LARGEST_CHANGE))
-
-        mixed = correct(torch.lerp(second, first, torch.sigmoid(choice)))
-        branches = (correct(first), correct(second)) if self.training else ()
-        return Completed(mixed, (scale + FIRST_SCALE).clamp(SMALLEST_SCALE, LARGEST_SCALE), branches)
+        mixed, scale, branches = (_correct if without_gradient(raw) else correct)(raw, log_fill)
+        log_scale = (scale + FIRST_SCALE).clamp(SMALLEST_SCALE, LARGEST_SCALE)
+        return Completed(mixed, log_scale, branches if self.training else ())
 
     def _encode(self, image: Tensor, depth: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return both modalities' features at every scale, finest first, channels exchanged from 1/8 on."""
@@ -123,6 +119,28 @@ class Fuse(nn.Module):
         """Fuse."""
         joint: Tensor = self.joint(join(image, depth))
         return joint + torch.lerp(depth, image, torch.sigmoid(self.gate(joint)))
+
+
+def correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+    """Apply what the head says (b, 16, >= h / 2, >= w / 2) to a pre-fill's logarithm (b, h, w).
+
+    Returns the mixed depth, the scale, each (b, h, w), and the two depths before mixing.
+    """
+    height, width = log_fill.shape[1:]
+    first, second, choice, scale = F.pixel_shuffle(raw, 2)[:, :, :height, :width].float().unbind(dim=1)
+    changes = torch.lerp(second, first, torch.sigmoid(choice)), first, second
+    mixed, *branches = (torch.exp(log_fill + c.clamp(-LARGEST_CHANGE, LARGEST_CHANGE)) for c in changes)
+    return mixed, scale, tuple(branches)
+
+
+def _correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+    """Do the same in a kernel, but for the branches."""
+    from priors.kernels import correction as kernels
+
+    depth, scale = torch.empty_like(log_fill), torch.empty_like(log_fill)
+    cells = as_bits(raw.permute(0, 2, 3, 1))
+    kernels.correct(cells, log_fill.float().numpy(), LARGEST_CHANGE, depth.numpy(), scale.numpy())
+    return depth, scale, ()
 
 
 def exchange(image: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
