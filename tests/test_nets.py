@@ -13,6 +13,7 @@ from priors.nets.cfnet import Cfnet, Range
 from priors.nets.fused import available, fuse
 from priors.nets.intake import take_in
 from priors.nets.join import join
+from priors.nets.outputs import StereoOut
 from priors.nets.pcwnet import Pcwnet
 from priors.nets.trunk import Trunk, pad
 from priors.nets.upsample import convex
@@ -298,10 +299,27 @@ def test_every_parameter_of_a_stereo_network_learns(network: type[nn.Module]) ->
     pair = torch.rand(2, 1, 3, 64, 96)
     truth = torch.rand(1, 64, 96) * 30
     batch = {"left": pair[0], "right": pair[1], "disparity_px": truth, "known": torch.ones(1, 64, 96)}
+    batch["sky"] = torch.zeros(1, 64, 96)
     task = StereoTask(net, lambda rng: {})
     loss, _ = task.loss({**batch, "weight": torch.ones(1, 64, 96)})
     loss.backward()
     assert [name for name, p in net.named_parameters() if p.grad is None] == []
+
+
+def test_the_sky_counts_little_against_what_stands_before_it() -> None:
+    from priors.learn.stereo import SKY_WEIGHT, StereoTask
+
+    class Constant(nn.Module):
+        def forward(self, left: Tensor, right: Tensor, largest_px: int, stages: int) -> StereoOut:
+            maps = torch.full_like(left[:, 0], 10.0)
+            return StereoOut(maps, maps, torch.zeros_like(maps), [])
+
+    image, sky = torch.zeros(1, 3, 4, 4), torch.zeros(1, 4, 4)
+    sky[:, :2] = 1
+    truth = torch.where(sky > 0, 0.0, 13.0)  # 10 px off in the sky, 3 px off below
+    batch = {"left": image, "right": image, "disparity_px": truth, "known": torch.ones(1, 4, 4), "sky": sky}
+    _, terms = StereoTask(Constant(), lambda rng: {}).loss({**batch, "weight": torch.ones(1, 4, 4)})
+    assert float(terms["epe"]) == pytest.approx((10 * SKY_WEIGHT + 3) / (SKY_WEIGHT + 1))
 
 
 @pytest.mark.parametrize("network", NETWORKS)

@@ -26,6 +26,8 @@ from priors.types import Image
 LARGEST_PX = 192
 SHARP_PX = 0.25
 """Errors below this are squared."""
+SKY_WEIGHT = 0.1
+"""Of a pixel of the sky, whose disparity is 0: what stands before it is pulled away with it, to hundreds of metres."""
 STAGE_WEIGHTS = (0.1, 0.3, 0.5)
 SPREAD_WEIGHT, DOUBT_WEIGHT = 0.3, 0.2
 SCHEDULE = (2500, 3300)
@@ -58,7 +60,7 @@ class StereoTask:
         stages = int(batch.get("stages", 3))
         out: StereoOut = self.net(batch["left"], batch["right"], LARGEST_PX, stages)
         truth, weight = batch["disparity_px"], batch["weight"] * batch["known"]
-        weight = weight * (truth < LARGEST_PX)
+        weight = weight * (truth < LARGEST_PX) * (1 - (1 - SKY_WEIGHT) * batch["sky"])
         error = (out.disparity_px - truth).abs()
         total = mean(soft(error), weight) if stages == 3 else error.new_zeros(())
         spread = total.new_zeros(())
