@@ -15,11 +15,11 @@ from hypothesis import strategies as st
 from priors import build
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.known import READS
 from priors.learn.adapt import AdaptConfig, adapt, training_views
 from priors.learn.measured import Measured
 from priors.learn.mono import loss, nearest_of_cells, silog
 from priors.learn.views import SKY, SURFACE, View, cut
-from priors.methods.known import READS
 from priors.methods.mono import Mono
 from priors.nets import bts, mobile, weights
 from priors.nets.blocks import channels_last, fold
@@ -267,7 +267,7 @@ def test_adapting_reads_no_held_out_frame_and_is_kept(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(READS, "lidar", ("sparse",))
-    known = "priors.methods.known.Known.__call__"
+    known = "priors.known.Known.__call__"
     monkeypatch.setattr(known, lambda self, frame: frame.sparse().depth_m)
     drive, notes = Road(12, closed=(9,)), []
     method = Mono(weights=file, size="s", adapt="lidar", adapt_s=0.5, runtime="fp32").resolve(drive[0])

@@ -9,12 +9,12 @@ from torch import nn
 
 from priors import geometry
 from priors.errors import DataError
+from priors.known import Known
 from priors.learn.adapt import MOST_VIEWS, AdaptConfig, Supervision, gather, thin
 from priors.learn.clips import pair_up
 from priors.learn.measured import Measured
 from priors.learn.video import LEARNING_RATE, Video, read_clip
 from priors.learn.views import View, label_sky
-from priors.methods.known import Known
 from priors.types import Drive, Frame, Matrix
 
 

@@ -17,12 +17,12 @@ from priors import build, drives
 from priors.colours import as_rgb, colour_depth, thicken
 from priors.drives import DriveOptions
 from priors.filters import Filters
+from priors.known import trusted
 from priors.learn import sample as samples
 from priors.learn.loop import Batch
 from priors.learn.scans import Streets
 from priors.learn.views import LARGEST_M, SKY, SURFACE, UNKNOWN, View, collate, cut, label_sky, repaint
 from priors.learn.weighing import mean
-from priors.methods.known import trusted
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
 from priors.nets import bts

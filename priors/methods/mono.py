@@ -14,7 +14,7 @@ from priors.errors import DataError
 from priors.types import Camera, Depth, Drive, FloatMap, Frame, Image
 
 if TYPE_CHECKING:
-    from priors.methods.known import Known
+    from priors.known import Known
 
 TOLERANCE_M = 1.0
 MOST_ALIGNED = 12
@@ -72,7 +72,7 @@ class Mono:
     @property
     def reads(self) -> tuple[str, ...]:
         """Return what a frame must have."""
-        from priors.methods.known import READS
+        from priors.known import READS
 
         per_frame = self.align != "none" and self.align_per == "frame"
         return ("image", *(READS.get(self.align_to, ()) if per_frame else ()))
@@ -167,7 +167,7 @@ class Mono:
 
     @staticmethod
     def _known(source: str, frame: Frame) -> "Known":
-        from priors.methods.known import Known
+        from priors.known import Known
 
         return Known.choose(source, frame)
 
