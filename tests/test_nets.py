@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from priors.nets import matching, volume
 from priors.nets.blocks import Exact, Residual, channels_last, conv, conv3d, fold
 from priors.nets.cfnet import Cfnet, Range
-from priors.nets.fused import available, fuse
+from priors.nets.fused import available, fuse, spread_over_planes
 from priors.nets.intake import take_in
 from priors.nets.join import join
 from priors.nets.outputs import StereoOut
@@ -170,6 +170,14 @@ def test_bytes_go_in_as_floats_do(seed: int, kind: torch.dtype, height: int) -> 
         assert ours.dtype == kind
         torch.testing.assert_close(ours, theirs, atol=1e-6, rtol=0 if kind == torch.float32 else 2**-7)
         assert torch.equal(twin, theirs)
+
+
+@pytest.mark.parametrize("planes", [1, 2, 7])
+def test_a_3d_convolution_to_one_channel_is_a_2d_one(planes: int) -> None:
+    torch.manual_seed(0)
+    conv, x = nn.Conv3d(6, 1, 3, padding=1), torch.randn(2, 6, 5, 4, planes)
+    flat = spread_over_planes(conv, planes)(x.permute(0, 4, 1, 2, 3).flatten(1, 2))
+    torch.testing.assert_close(flat.permute(0, 2, 3, 1)[:, None], conv(x), atol=1e-5, rtol=1e-5)
 
 
 @pytest.mark.skipif(not available(), reason="this torch build has no fused convolutions")

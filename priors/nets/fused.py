@@ -31,10 +31,13 @@ def fuse(net: Net) -> Net:
     if not available():
         return net
     for name, child in list(net.named_children()):
-        if isinstance(child, Exact) and child[-1].weight.dtype == torch.bfloat16:
-            setattr(net, name, FusedExact(child))
+        if isinstance(child, Exact):
+            if child[-1].weight.dtype == torch.bfloat16:  # else it is exact as it is
+                setattr(net, name, FusedExact(child))
         elif isinstance(child, Residual):
             setattr(net, name, FusedResidual(child))
+        elif isinstance(child, nn.Conv3d) and child.out_channels == 1:
+            setattr(net, name, FusedPlanes(child))
         elif isinstance(child, nn.Sequential) and _is_pair(child):
             setattr(net, name, FusedConv(_conv_of(child), child[-1]))
         elif isinstance(child, nn.ModuleList | nn.Sequential) or len(list(child.children())):
@@ -78,6 +81,51 @@ class FusedConv(nn.Module):
         return run.binary(x, plus, self.weight, self.bias, *shape, "add", 1.0, *(self.after or (None, [])), "")
 
 
+class FusedPlanes(nn.Module):
+    """A 3D convolution to one channel as a 2D one, from all channels of all planes to one value a plane.
+
+    A volume lies in memory as the 2D one reads it, and the zeros between distant planes cost less than a matrix unit
+    that works for a single channel: it takes a third of the time.
+    """
+
+    def __init__(self, conv: nn.Conv3d) -> None:
+        super().__init__()
+        assert conv.kernel_size[2] == 3 and conv.padding[2] == 1 and conv.stride == (1, 1, 1)
+        self.conv = conv
+        self._made: dict[int, FusedConv] = {}
+
+    def forward(self, x: Tensor, plus: Tensor | None = None) -> Tensor:
+        """Return conv(x) + plus: (b, channels, h, w, planes) -> (b, 1, h, w, planes)."""
+        batch, channels, height, width, planes = x.shape
+        if planes not in self._made:
+            self._made[planes] = FusedConv(spread_over_planes(self.conv, planes))
+        flat = x.permute(0, 2, 3, 4, 1).reshape(batch, height, width, planes * channels).permute(0, 3, 1, 2)
+        given = None if plus is None else plus[:, 0].permute(0, 3, 1, 2)
+        found: Tensor = self._made[planes](flat, given)
+        return found.permute(0, 2, 3, 1)[:, None]
+
+
+def spread_over_planes(conv: nn.Conv3d, planes: int) -> nn.Conv2d:
+    """Return the 2D convolution (b, planes * channels, h, w) -> (b, planes, h, w) that a 3D one to one channel is.
+
+    The channels vary fastest; a plane sees its own, the one before and the one after.
+    """
+    kernel, (rows, columns, _) = conv.weight.detach()[0], conv.kernel_size
+    weight = kernel.new_zeros(planes, planes, conv.in_channels, rows, columns)
+    for there in range(planes):
+        for here in range(max(0, there - 1), min(planes, there + 2)):
+            weight[there, here] = kernel[..., here - there + 1]
+    padding = (int(conv.padding[0]), int(conv.padding[1]))
+    flat = nn.Conv2d(planes * conv.in_channels, planes, (rows, columns), padding=padding).to(weight.dtype)
+    flat.weight.data = weight.flatten(1, 2).contiguous(memory_format=torch.channels_last)
+    if conv.bias is None:
+        flat.bias = None
+    else:
+        assert flat.bias is not None
+        flat.bias.data = conv.bias.detach().expand(planes).clone()
+    return flat
+
+
 class FusedResidual(nn.Module):
     """A residual block in two passes over memory."""
 
@@ -101,7 +149,8 @@ class FusedExact(nn.Module):
         super().__init__()
         first, last = head
         assert isinstance(first, nn.Sequential) and isinstance(last, nn.Conv2d | nn.Conv3d)
-        self.first, self.last = FusedConv(_conv_of(first), first[-1]), FusedConv(last)
+        self.first = FusedConv(_conv_of(first), first[-1])
+        self.last = FusedPlanes(last) if isinstance(last, nn.Conv3d) and last.out_channels == 1 else FusedConv(last)
 
     def forward(self, x: Tensor) -> Tensor:
         """Run both layers; returns float32."""
