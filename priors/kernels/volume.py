@@ -84,14 +84,18 @@ def _match_row(
     for start in range(0, width, most):
         count = min(most, width - start)
         _place(disparity_px[start : start + count], start, width, column, share, inside)
-        _multiply(ours[start : start + count], planes, theirs, column, share, product.reshape((-1, channels)))
+        _multiply(ours[start : start + count], planes, theirs, column, share, inside, product.reshape((-1, channels)))
         _add_up(product, count * planes * channels, channels // groups)
+        if steps == (groups, 1) and out.shape[1] == planes * groups:
+            flat = out[start : start + count].reshape(-1)
+            flat[:] = product[: flat.size]
+            continue
         for x in range(count):
             line = out[start + x]
             for plane in range(planes):
-                n = x * planes + plane
+                n = (x * planes + plane) * groups
                 for group in range(groups):
-                    line[plane * steps[0] + group * steps[1]] = inside[n] * product[n * groups + group]
+                    line[plane * steps[0] + group * steps[1]] = product[n + group]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -113,7 +117,13 @@ def _place(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _multiply(
-    ours: FloatMap, planes: int, theirs: FloatMap, column: npt.NDArray[np.int32], share: FloatMap, product: FloatMap
+    ours: FloatMap,
+    planes: int,
+    theirs: FloatMap,
+    column: npt.NDArray[np.int32],
+    share: FloatMap,
+    inside: FloatMap,
+    product: FloatMap,
 ) -> None:
     """Write left features (n, c) times the right row's (w, c), read between columns: (n * planes, c)."""
     count, channels = ours.shape
@@ -122,9 +132,9 @@ def _multiply(
         mine = ours[x]
         for n in range(x * planes, (x + 1) * planes):
             near, far = theirs[np.uintp(column[n])], theirs[np.uintp(min(column[n] + 1, last))]
-            out, part = product[np.uintp(n)], share[n]
+            out, part, keep = product[np.uintp(n)], share[n], inside[n]
             for k in range(channels):
-                out[k] = mine[k] * (near[k] + part * (far[k] - near[k]))
+                out[k] = mine[k] * (near[k] + part * (far[k] - near[k])) * keep
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -148,7 +158,20 @@ def unit(features: Bits, groups: int) -> FloatMap:
     _add_up(squares, squares.size, size)
     for n in range(width * groups):
         squares[n] = np.float32(1) / np.sqrt(squares[n] + np.float32(1e-4))
-    for n in range(width * groups):
-        for k in range(n * size, (n + 1) * size):
-            flat[k] *= squares[n]
+    scale = _repeat(squares, width * groups, size)
+    for k in range(flat.size):
+        flat[k] *= scale[k]
     return flat.reshape((width, channels))
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _repeat(values: FloatMap, count: int, size: int) -> FloatMap:
+    """Return each of the first `count` values `size` (a power of two) times: pairs, pairs of pairs, ..."""
+    given, written, spare = values, np.empty(count * size, np.float32), np.empty(count * size, np.float32)
+    while size > 1:
+        for n in range(count):
+            written[2 * n] = given[n]
+            written[2 * n + 1] = given[n]
+        given, written, spare = written, spare, written
+        size, count = size // 2, count * 2
+    return given[:count]
