@@ -83,6 +83,14 @@ def test_volumes_equal_the_naive_loops(seed: int, width: int, groups: int) -> No
             torch.testing.assert_close(matching.lookup(left, right, disparity_px, groups), found[:, :groups])
 
 
+def test_disparities_that_are_no_numbers_read_nothing_else() -> None:
+    left, right, disparity_px = features(3)
+    disparity_px[0, 0] = torch.nan
+    with torch.no_grad():
+        found = matching.lookup(left, right, disparity_px, 2)
+    torch.testing.assert_close(found[1], naive_volume(left, right, disparity_px.nan_to_num(-1), 2)[1])
+
+
 def test_bf16_features_are_multiplied_in_float32() -> None:
     left, right, disparity_px = features(2)
     left, right = left.to(torch.bfloat16), right.to(torch.bfloat16)

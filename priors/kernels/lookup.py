@@ -1,7 +1,7 @@
-"""Matching at given disparities, fused: gather, interpolate, multiply and sum, forwards and backwards.
+"""Matching at given disparities with gradients, fused: gather, interpolate, multiply and sum, forwards and backwards.
 
 The readable twin is nets/volume.py in plain torch; this does in one pass over memory what takes that a dozen. Rows are
-independent, so threads share nothing.
+independent, so threads share nothing. Without gradients, kernels/volume.py does more at once.
 """
 
 import numpy as np

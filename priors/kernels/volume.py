@@ -110,7 +110,7 @@ def _place(
             asked = np.float32(start + x) - disparity_px[x, plane]
             held = min(max(asked, np.float32(0)), last)
             first = min(np.floor(held), before_last)
-            column[x * planes + plane] = np.int32(first)
+            column[x * planes + plane] = min(max(np.int32(first), np.int32(0)), np.int32(before_last))  # NaN too
             share[x * planes + plane] = held - first
             inside[x * planes + plane] = np.float32(asked == held)
 
