@@ -13,7 +13,7 @@ from rich.markup import escape
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from eval import table
-from eval.curves import Curves, Metric, Samples, best, collect, curves
+from eval.curves import Curves, Flat, Metric, Samples, best, curves, join, sample
 from eval.protocol import PRESETS, Protocol, ScoreError, preset
 from eval.result import Result, Scored, score
 from priors import cache, codecs
@@ -122,12 +122,17 @@ def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> li
         ids = _scored_ids(prior, drive, reference, args.frames)
         fx_baseline = _fx_baseline(drive)
         info = {"prior": name, "drive": drive.name, "folder": prior.name}
+        parts: list[tuple[Flat, Flat, Flat]] | None = None
+        if args.curves is not None and (prior.folder / "confidence").is_dir():
+            parts = []
         with progress(name, len(ids)) as step:
-            result = score(_pairs(prior, drive, reference, ids, step), protocol, fx_baseline, info)
+            frames = _pairs(prior, drive, reference, ids, step)
+            frames = frames if parts is None else _noting(frames, protocol, parts)
+            result = score(frames, protocol, fx_baseline, info)
         result.save(prior.folder / "metrics.json")
         results.append(result)
-        if args.curves is not None and (prior.folder / "confidence").is_dir():
-            samples = collect((scored[1:] for scored in _pairs(prior, drive, reference, ids)), protocol)
+        if parts is not None:
+            samples = join(parts)
             made = _curves(samples, fx_baseline)
             drawn.append(sparsification(name, made))
             out.print(_best_share(name, samples, fx_baseline))
@@ -155,9 +160,7 @@ def _scored_ids(prior: Prior, drive: Drive, reference: Prior | None, frames: str
     return with_truth
 
 
-def _pairs(
-    prior: Prior, drive: Drive, reference: Prior | None, ids: Sequence[str], step: object = None
-) -> Iterator[Scored]:
+def _pairs(prior: Prior, drive: Drive, reference: Prior | None, ids: Sequence[str], step: object) -> Iterator[Scored]:
     """Read map and truth of each frame as it is asked for."""
     index = {id_: i for i, id_ in enumerate(drive.ids)}
     for id_ in ids:
@@ -166,6 +169,14 @@ def _pairs(
         yield id_, made.depth_m, made.confidence, truth.depth_m
         if callable(step):
             step()
+
+
+def _noting(frames: Iterator[Scored], protocol: Protocol, parts: list[tuple[Flat, Flat, Flat]]) -> Iterator[Scored]:
+    """Hand frames through, and note their scored pixels: maps are read once."""
+    for scored in frames:
+        _, prediction_m, confidence, truth_m = scored
+        parts.append(sample(protocol.prepare(prediction_m, truth_m), confidence))
+        yield scored
 
 
 def _fx_baseline(drive: Drive) -> float | None:

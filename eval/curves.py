@@ -9,7 +9,7 @@ Curves over a drive sort the pixels of all frames together, since a threshold on
 in a result file is of each frame alone, averaged over frames.
 """
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.depth import DepthSums, FloatArray, has_value
-from eval.protocol import Prepared, Protocol
+from eval.protocol import Prepared
 from eval.stereo import DisparitySums, is_d1
 
 Flat = npt.NDArray[np.float64]
@@ -63,18 +63,17 @@ class Curves:
         return _area(self.farthest_first - self.oracle, self.kept)
 
 
-def collect(frames: Iterable[tuple[FloatArray, FloatArray | None, FloatArray]], protocol: Protocol) -> Samples:
-    """Gather the scored pixels of frames (prediction_m, confidence, truth_m), each (height, width).
-
-    Pixels the protocol filled are left out: nobody stated a confidence for them. Without a confidence all are alike.
-    """
-    parts = [sample(protocol.prepare(prediction, truth), trust) for prediction, trust, truth in frames]
+def join(parts: Sequence[tuple[Flat, Flat, Flat]]) -> Samples:
+    """Put the scored pixels of frames, as `sample` returns them, together; none at all is no pixel."""
     stacked = [np.concatenate([np.zeros(0), *column]) for column in zip(*parts, strict=True)] or [np.zeros(0)] * 3
     return Samples(*stacked)
 
 
 def sample(ready: Prepared, confidence: FloatArray | None) -> tuple[Flat, Flat, Flat]:
-    """Return one frame's scored pixels: prediction, truth, confidence, each (n,); confidence is of the whole image."""
+    """Return one frame's scored pixels: prediction, truth, confidence, each (n,); confidence is of the whole image.
+
+    Pixels the protocol filled are left out: nobody stated a confidence for them. Without a confidence all are alike.
+    """
     scored = ready.own & has_value(ready.truth_m)
     trust = np.ones(scored.shape) if confidence is None else ready.cut(confidence)
     return ready.prediction_m[scored], ready.truth_m[scored], trust[scored].astype(np.float64)

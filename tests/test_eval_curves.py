@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference import eval as loops
 
-from eval.curves import Samples, best, collect, curves, sparsify
+from eval.curves import Samples, best, curves, join, sample, sparsify
 from eval.protocol import preset
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -93,23 +93,27 @@ def test_farthest_first_is_a_confidence_of_minus_the_prediction():
     np.testing.assert_allclose(made.by_confidence, made.farthest_first)
 
 
-def test_collect_takes_what_the_protocol_scores_and_no_filled_pixel():
+def gather(frames, protocol):
+    return join([sample(protocol.prepare(prediction, truth), trust) for prediction, trust, truth in frames])
+
+
+def test_samples_are_what_the_protocol_scores_and_no_filled_pixel():
     prediction = np.array([[4.0, 0.0, 9.0, 90.0]])
     truth = np.array([[5.0, 5.0, 0.0, 100.0]])
     confidence = np.array([[0.1, 0.2, 0.3, 0.4]])
     frames = [(prediction, confidence, truth)]
-    drawn = collect(frames, preset("kitti-completion"))
+    drawn = gather(frames, preset("kitti-completion"))
     assert drawn.prediction_m.tolist() == [4, 90]
     assert drawn.truth_m.tolist() == [5, 100]
     assert drawn.confidence.tolist() == [0.1, 0.4]
-    assert collect([(prediction, None, truth)] * 2, preset("paper")).prediction_m.tolist() == [4, 4]
-    assert collect([], preset("paper")).truth_m.size == 0
+    assert gather([(prediction, None, truth)] * 2, preset("paper")).prediction_m.tolist() == [4, 4]
+    assert gather([], preset("paper")).truth_m.size == 0
 
 
-def test_collect_crops_the_confidence_with_the_maps():
+def test_samples_crop_the_confidence_with_the_maps():
     size = (375, 1242)
     numbered = np.arange(size[0] * size[1], dtype=np.float64).reshape(size) + 1
-    drawn = collect([(np.full(size, 7.0), numbered, np.full(size, 8.0))], preset("garg"))
+    drawn = gather([(np.full(size, 7.0), numbered, np.full(size, 8.0))], preset("garg"))
     assert drawn.confidence[0] == numbered[153, 44]
     assert drawn.confidence[-1] == numbered[370, 1196]
 
