@@ -36,6 +36,8 @@ from priors.types import Image
 Batch = dict[str, Tensor]
 AHEAD = 3
 """Batches made in advance by the background thread."""
+NORM_BATCHES = 40
+"""Batches that the average's batch normalisations are measured on."""
 
 
 class Task(Protocol):
@@ -181,14 +183,34 @@ class _Run:
         with torch.no_grad():
             for ours, theirs in zip(self.average.parameters(), self.net.parameters(), strict=True):
                 ours.lerp_(theirs, 1 - keep)
-            for ours_, theirs_ in zip(self.average.buffers(), self.net.buffers(), strict=True):
-                if ours_.is_floating_point():  # statistics of small batches are noise unless they are averaged too
-                    ours_.lerp_(theirs_, 1 - keep)
-                else:
-                    ours_.copy_(theirs_)
+
+    def _measure_norms(self) -> None:
+        """Measure the statistics of the average's batch normalisations on batches that pass through it.
+
+        Averaging the network's statistics would not do (Izmailov et al., UAI 2018): averaged weights have activations
+        of their own, and one odd batch would stay in an average for a thousand steps.
+        """
+        norms = [m for m in self.average.modules() if isinstance(m, nn.BatchNorm2d | nn.BatchNorm3d)]
+        momenta = [norm.momentum for norm in norms]
+        for norm in norms:
+            norm.reset_running_stats()
+            norm.momentum = None  # a plain mean
+        self.average.train()
+        self.task.net, kept = self.average, self.task.net
+        try:
+            with torch.no_grad(), torch.autocast(self.device.type, torch.bfloat16):
+                for number in range(NORM_BATCHES if norms else 0):
+                    batch = self.task.batch(self.step, np.random.default_rng([self.config.seed, number, NORM_BATCHES]))
+                    self.task.loss({name: value.to(self.device) for name, value in batch.items()})
+        finally:
+            self.task.net = kept
+            self.average.eval()
+            for norm, momentum in zip(norms, momenta, strict=True):
+                norm.momentum = momentum
 
     def validate(self) -> None:
         """Measure the average, draw what it sees, keep it if it is the best so far."""
+        self._measure_norms()
         with torch.inference_mode():
             self.last = self.task.validate(self.average)
             for name, picture in self.task.pictures(self.average).items():
