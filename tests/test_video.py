@@ -104,9 +104,9 @@ def test_true_depth_explains_the_neighbours(seed: int, zoom: float, ahead: float
     def error(factor: float, stride: int) -> float:
         return float(photometric(1 / (factor * batch["depth_m"]), everywhere, batch, stride, 1))
 
-    for stride in (1, 2):
-        assert error(1.0, stride) < 0.025
-        assert min(error(0.7, stride), error(1.4, stride)) > 2 * error(1.0, stride)
+    for stride, largest, times in ((1, 0.01, 3), (2, 0.03, 1.5)):  # halved, a zoomed texture is not looked up exactly
+        assert error(1.0, stride) < largest
+        assert min(error(0.7, stride), error(1.4, stride)) > times * error(1.0, stride)
 
 
 @pytest.mark.parametrize("factor", [0.75, 1.35])
