@@ -12,6 +12,8 @@ from priors.types import Image
 
 LEFT, RIGHT, TOP, BOTTOM = 70, 30, 44, 52
 LABEL_SCALE = 0.42
+NEAR = 3
+"""Pixels of time within which dots are above one another."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,12 +57,16 @@ def scatter(dots: Sequence[Dot], error_name: str, title: str, size: tuple[int, i
 
 
 def _draw_dots(canvas: Image, placed: Sequence[tuple[Dot, tuple[int, int]]]) -> None:
-    """Join each family's dots in order of time, then draw and label them; labels step aside for each other."""
+    """Join each family's dots in order of time, then draw and label them.
+
+    Labels step aside for each other, and stand in the order of their dots where those are above one another.
+    """
     families = sorted({dot.family for dot, _ in placed})
     for family in families:
         points = sorted(point for dot, point in placed if dot.family == family)
         cv2.polylines(canvas, [np.array(points, np.int32)], False, PALETTE[family % len(PALETTE)], 1, cv2.LINE_AA)
     taken: list[tuple[int, int, int, int]] = []
+    labelled: list[tuple[int, int, int]] = []
     for dot, (x, y) in sorted(placed, key=lambda pair: pair[1]):
         cv2.circle(canvas, (x, y), 5, PALETTE[dot.family % len(PALETTE)], -1, cv2.LINE_AA)
         wide = round(text_width(dot.label, LABEL_SCALE))
@@ -69,6 +75,8 @@ def _draw_dots(canvas: Image, placed: Sequence[tuple[Dot, tuple[int, int]]]) -> 
             (left, y + step)
             for step in (-8, 16, -24, 32, -40, 48, -56, 64, *range(80, 2000, 16))
             if all(left + wide < a or left > b or y + step - 12 > d or y + step < c for a, c, b, d in taken)
+            and all(abs(x - there) > NEAR or (y - above) * (y + step - label) >= 0 for there, above, label in labelled)
         )
+        labelled.append((x, y, best[1]))
         taken.append((best[0], best[1] - 12, best[0] + wide, best[1] + 2))
         write(canvas, dot.label, best, INK, LABEL_SCALE)
