@@ -13,7 +13,7 @@ from rich.markup import escape
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from eval import table
-from eval.curves import Curves, Flat, Metric, Samples, best, curves, join, sample
+from eval.curves import Curves, Metric, Samples, best, curves, join
 from eval.protocol import PRESETS, Protocol, ScoreError, preset
 from eval.result import Result, Scored, score
 from priors import cache, codecs
@@ -122,16 +122,14 @@ def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> li
         ids = _scored_ids(prior, drive, reference, args.frames)
         fx_baseline = _fx_baseline(drive)
         info = {"prior": name, "drive": drive.name, "folder": prior.name}
-        parts: list[tuple[Flat, Flat, Flat]] | None = None
-        if args.curves is not None and (prior.folder / "confidence").is_dir():
-            parts = []
+        parts: list[Samples] = []
+        wants_curves = args.curves is not None and (prior.folder / "confidence").is_dir()
         with progress(name, len(ids)) as step:
             frames = _pairs(prior, drive, reference, ids, step)
-            frames = frames if parts is None else _noting(frames, protocol, parts)
-            result = score(frames, protocol, fx_baseline, info)
+            result = score(frames, protocol, fx_baseline, info, parts.append if wants_curves else None)
         result.save(prior.folder / "metrics.json")
         results.append(result)
-        if parts is not None:
+        if wants_curves:
             samples = join(parts)
             made = _curves(samples, fx_baseline)
             drawn.append(sparsification(name, made))
@@ -169,14 +167,6 @@ def _pairs(prior: Prior, drive: Drive, reference: Prior | None, ids: Sequence[st
         yield id_, made.depth_m, made.confidence, truth.depth_m
         if callable(step):
             step()
-
-
-def _noting(frames: Iterator[Scored], protocol: Protocol, parts: list[tuple[Flat, Flat, Flat]]) -> Iterator[Scored]:
-    """Hand frames through, and note their scored pixels: maps are read once."""
-    for scored in frames:
-        _, prediction_m, confidence, truth_m = scored
-        parts.append(sample(protocol.prepare(prediction_m, truth_m), confidence))
-        yield scored
 
 
 def _fx_baseline(drive: Drive) -> float | None:

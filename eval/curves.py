@@ -63,20 +63,24 @@ class Curves:
         return _area(self.farthest_first - self.oracle, self.kept)
 
 
-def join(parts: Sequence[tuple[Flat, Flat, Flat]]) -> Samples:
-    """Put the scored pixels of frames, as `sample` returns them, together; none at all is no pixel."""
-    stacked = [np.concatenate([np.zeros(0), *column]) for column in zip(*parts, strict=True)] or [np.zeros(0)] * 3
-    return Samples(*stacked)
+def join(parts: Sequence[Samples]) -> Samples:
+    """Put the scored pixels of frames together; none at all is no pixel."""
+    columns = (
+        [part.prediction_m for part in parts],
+        [part.truth_m for part in parts],
+        [part.confidence for part in parts],
+    )
+    return Samples(*(np.concatenate([np.zeros(0), *column]) for column in columns))
 
 
-def sample(ready: Prepared, confidence: FloatArray | None) -> tuple[Flat, Flat, Flat]:
-    """Return one frame's scored pixels: prediction, truth, confidence, each (n,); confidence is of the whole image.
+def sample(ready: Prepared, confidence: FloatArray | None) -> Samples:
+    """Return one frame's scored pixels; confidence is of the whole image.
 
     Pixels the protocol filled are left out: nobody stated a confidence for them. Without a confidence all are alike.
     """
     scored = ready.own & has_value(ready.truth_m)
     trust = np.ones(scored.shape) if confidence is None else ready.cut(confidence)
-    return ready.prediction_m[scored], ready.truth_m[scored], trust[scored].astype(np.float64)
+    return Samples(ready.prediction_m[scored], ready.truth_m[scored], trust[scored].astype(np.float64))
 
 
 def curves(samples: Samples, metric: Metric, fx_baseline: float | None = None, kept: Flat = KEPT) -> Curves:

@@ -8,7 +8,7 @@ import json
 import math
 import os
 import uuid
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import reduce
 from operator import add
@@ -139,7 +139,11 @@ class Result:
 
 
 def score(
-    frames: Iterable[Scored], protocol: Protocol, fx_baseline: float | None = None, info: dict[str, Any] | None = None
+    frames: Iterable[Scored],
+    protocol: Protocol,
+    fx_baseline: float | None = None,
+    info: dict[str, Any] | None = None,
+    on_samples: Callable[[Samples], None] | None = None,
 ) -> Result:
     """Score frames one at a time: memory does not grow with their number.
 
@@ -148,11 +152,12 @@ def score(
         protocol: what is scored and how.
         fx_baseline: focal length times baseline, px m, for the disparity metrics; None leaves them out.
         info: what is scored; `prior` is its name in tables.
+        on_samples: gets the scored pixels of each frame.
 
     Raises:
         ScoreError: a frame's maps differ in size or do not fit the crop.
     """
-    rows = tuple(score_frame(*frame, protocol, fx_baseline) for frame in frames)
+    rows = tuple(score_frame(*frame, protocol, fx_baseline, on_samples) for frame in frames)
     return Result(protocol, rows, info or {})
 
 
@@ -163,13 +168,17 @@ def score_frame(
     truth_m: FloatArray,
     protocol: Protocol,
     fx_baseline: float | None = None,
+    on_samples: Callable[[Samples], None] | None = None,
 ) -> Row:
     """Score one frame; see `score`."""
     try:
         ready = protocol.prepare(prediction_m, truth_m)
-        ause = {} if confidence is None else _ause(Samples(*sample(ready, confidence)))
+        samples = None if confidence is None and on_samples is None else sample(ready, confidence)
+        ause = {} if confidence is None or samples is None else _ause(samples)
     except ScoreError as error:
         raise ScoreError(f"frame {frame}: {error}") from error
+    if on_samples is not None and samples is not None:
+        on_samples(samples)
     seen = ready.truth_m > 0  # a fifth of the image: the rest only counts for density_image
     p, t, own = ready.prediction_m[seen], ready.truth_m[seen], ready.own[seen]
     parts = [(t >= low) & (t < high) for low, high in protocol.bins()]
