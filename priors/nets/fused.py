@@ -6,7 +6,7 @@ another device, the network stays as it is.
 """
 
 from collections.abc import Callable
-from typing import Any, TypeVar
+from typing import Any, TypeGuard, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -36,7 +36,7 @@ def fuse(net: Net) -> Net:
                 setattr(net, name, FusedExact(child))
         elif isinstance(child, Residual):
             setattr(net, name, FusedResidual(child))
-        elif isinstance(child, nn.Conv3d) and child.out_channels == 1:
+        elif _is_planar(child):
             setattr(net, name, FusedPlanes(child))
         elif isinstance(child, nn.Sequential) and _is_pair(child):
             setattr(net, name, FusedConv(_conv_of(child), child[-1]))
@@ -90,7 +90,6 @@ class FusedPlanes(nn.Module):
 
     def __init__(self, conv: nn.Conv3d) -> None:
         super().__init__()
-        assert conv.kernel_size[2] == 3 and conv.padding[2] == 1 and conv.stride == (1, 1, 1)
         self.conv = conv
         self._made: dict[int, FusedConv] = {}
 
@@ -150,7 +149,7 @@ class FusedExact(nn.Module):
         first, last = head
         assert isinstance(first, nn.Sequential) and isinstance(last, nn.Conv2d | nn.Conv3d)
         self.first = FusedConv(_conv_of(first), first[-1])
-        self.last = FusedPlanes(last) if isinstance(last, nn.Conv3d) and last.out_channels == 1 else FusedConv(last)
+        self.last = FusedPlanes(last) if _is_planar(last) else FusedConv(last)
 
     def forward(self, x: Tensor) -> Tensor:
         """Run both layers; returns float32."""
@@ -162,6 +161,13 @@ class FusedExact(nn.Module):
 def _is_pair(sequence: nn.Sequential) -> bool:
     kinds = [type(layer) for layer in sequence if not isinstance(layer, nn.Identity)]
     return len(kinds) == 2 and kinds[0] in (nn.Conv2d, nn.Conv3d) and kinds[1] in AFTER
+
+
+def _is_planar(layer: nn.Module) -> TypeGuard[nn.Conv3d]:
+    """Tell whether a layer is what FusedPlanes takes: a 3D convolution to one channel that keeps the planes."""
+    if not isinstance(layer, nn.Conv3d) or layer.out_channels != 1:
+        return False
+    return layer.kernel_size[2] == 3 and layer.padding[2] == 1 and layer.stride == layer.dilation == (1, 1, 1)
 
 
 def _post_operation(after: nn.Module | None) -> tuple[str, list[float]] | None:

@@ -80,9 +80,9 @@ class Mffnet(nn.Module):
         depth = describe(log_fill, certain, sparse_m, kind)
         image = normalise(image.to(kind, memory_format=torch.channels_last))
         raw = self._decode(*self._encode(pad(image), pad(depth)))
-        mixed, scale, branches = (_correct if without_gradient(raw) else correct)(raw, log_fill)
-        log_scale = (scale + FIRST_SCALE).clamp(SMALLEST_SCALE, LARGEST_SCALE)
-        return Completed(mixed, log_scale, branches if self.training else ())
+        found = _correct(raw, log_fill) if without_gradient(raw) else correct(raw, log_fill, self.training)
+        mixed, scale, *branches = found
+        return Completed(mixed, (scale + FIRST_SCALE).clamp(SMALLEST_SCALE, LARGEST_SCALE), tuple(branches))
 
     def _encode(self, image: Tensor, depth: Tensor) -> tuple[list[Tensor], list[Tensor]]:
         """Return both modalities' features at every scale, finest first, channels exchanged from 1/8 on."""
@@ -121,26 +121,26 @@ class Fuse(nn.Module):
         return joint + torch.lerp(depth, image, torch.sigmoid(self.gate(joint)))
 
 
-def correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
+def correct(raw: Tensor, log_fill: Tensor, branches: bool) -> tuple[Tensor, ...]:
     """Apply what the head says (b, 16, >= h / 2, >= w / 2) to a pre-fill's logarithm (b, h, w).
 
-    Returns the mixed depth, the scale, each (b, h, w), and the two depths before mixing.
+    Returns the mixed depth and the scale, each (b, h, w); if asked also the two depths before mixing.
     """
     height, width = log_fill.shape[1:]
     first, second, choice, scale = F.pixel_shuffle(raw, 2)[:, :, :height, :width].float().unbind(dim=1)
-    changes = torch.lerp(second, first, torch.sigmoid(choice)), first, second
-    mixed, *branches = (torch.exp(log_fill + c.clamp(-LARGEST_CHANGE, LARGEST_CHANGE)) for c in changes)
-    return mixed, scale, tuple(branches)
+    changes = torch.lerp(second, first, torch.sigmoid(choice)), *((first, second) if branches else ())
+    mixed, *before = (torch.exp(log_fill + c.clamp(-LARGEST_CHANGE, LARGEST_CHANGE)) for c in changes)
+    return mixed, scale, *before
 
 
-def _correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, Tensor, tuple[Tensor, ...]]:
-    """Do the same in a kernel, but for the branches."""
+def _correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, ...]:
+    """Do the same in a kernel, without the branches."""
     from priors.kernels import correction as kernels
 
     depth, scale = torch.empty_like(log_fill), torch.empty_like(log_fill)
     cells = as_bits(raw.permute(0, 2, 3, 1))
     kernels.correct(cells, log_fill.float().numpy(), LARGEST_CHANGE, depth.numpy(), scale.numpy())
-    return depth, scale, ()
+    return depth, scale
 
 
 def exchange(image: Tensor, depth: Tensor) -> tuple[Tensor, Tensor]:
