@@ -1,4 +1,4 @@
-"""Mono: the focal convention, planes, what may take part in adapting, users' networks, and hard inputs."""
+"""Mono: the focal convention, planes, what may take part in adapting, and hard inputs."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-import torch.nn.functional as F
 from guarded import GuardedDrive
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -21,10 +20,7 @@ from priors.learn.measured import Measured
 from priors.learn.mono import loss, nearest_of_cells, silog
 from priors.learn.views import SKY, SURFACE, View, cut
 from priors.methods.mono import Mono
-from priors.nets import bts, mobile, weights
-from priors.nets.blocks import channels_last, fold
-from priors.nets.fused import fuse
-from priors.nets.trunk import normalise
+from priors.nets import bts, weights
 from priors.types import Camera, Depth, Frame
 
 HEIGHT_M = 1.65
@@ -288,133 +284,3 @@ def test_what_a_drive_lacks_is_said(file: Path, tmp_path: Path) -> None:
         make(Road(3), Mono(weights=file, size="s", adapt="lidar"), tmp_path)
     with pytest.raises(DataError, match="no LiDAR"):
         make(Road(3), Mono(weights=file, size="s", align="scale", align_to="lidar"), tmp_path)
-
-
-def brightness_net(path: Path, size: tuple[int, int] | None = None) -> Path:
-    """Write an ONNX network that answers the mean of its input's channels: (1, 3, h, w) -> (1, h, w)."""
-    onnx = pytest.importorskip("onnx", reason="onnx is not installed")
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed")
-    helper, kind = onnx.helper, onnx.TensorProto.FLOAT
-    shape = list(size) if size else ["h", "w"]
-    node = helper.make_node("ReduceMean", ["image"], ["answer"], axes=[1], keepdims=0)
-    ends = [helper.make_tensor_value_info("image", kind, [1, 3, *shape])]
-    ends.append(helper.make_tensor_value_info("answer", kind, [1, *shape]))
-    graph = helper.make_graph([node], "brightness", ends[:1], ends[1:])
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 13)], ir_version=8)
-    onnx.save(model, str(path))
-    return path
-
-
-def ramp(size: tuple[int, int] = (48, 80), focal_px: float = 100.0) -> Frame:
-    """A frame whose brightness is 1000 times its inverse depth, plus 20: 5 to 20 m."""
-    inverse = np.linspace(1 / 20, 1 / 5, size[1], dtype=np.float32)[None] * np.ones((size[0], 1), np.float32)
-    image = np.repeat(np.rint(1000 * inverse + 20).astype(np.uint8)[..., None], 3, axis=2)
-    known = Depth((1 / inverse) * (np.arange(size[0])[:, None] % 4 == 0))
-    readers = {"image": lambda: image, "sparse": lambda: known}
-    return Frame("000000", Camera(intrinsics(focal_px, size), size), readers)
-
-
-@pytest.mark.parametrize("settings_", ["", "size = [96, 160]\n", "size = [96, 200]\nfit = 'pad'\n", "multiple = 32\n"])
-def test_a_user_s_network_is_aligned(tmp_path: Path, settings_: str) -> None:
-    """Relative disparity with an unknown scale and shift becomes metres, however the image is fed."""
-    path = brightness_net(tmp_path / "mine.onnx")
-    path.with_suffix(".toml").write_text(f'output = "disparity"\n{settings_}')
-    frame = ramp()
-    method = Mono(weights=path, align="scale-shift", align_per="frame").resolve(frame)
-    assert (method.align_to, method.align_in) == ("sparse", "disparity")
-    true_m = 1 / np.linspace(1 / 20, 1 / 5, 80)[None].repeat(48, 0)
-    depth = method(frame)
-    assert depth.confidence is None
-    np.testing.assert_allclose(depth.depth_m[:, 2:-2], true_m[:, 2:-2], rtol=0.03)
-
-
-def test_the_focal_length_of_a_user_s_network(tmp_path: Path) -> None:
-    """Metric depth for a camera of 50 px at the size fed; ours has 100 px, and is fed at half the size: just right."""
-    path = brightness_net(tmp_path / "mine.onnx")
-    frame = ramp()
-    path.with_suffix(".json").write_text('{"output": "metric-depth", "focal_px": 50, "size": [24, 40]}')
-    half = Mono(weights=path).resolve(frame)(frame)
-    path.with_suffix(".json").write_text('{"output": "metric-depth"}')
-    plain = Mono(weights=path).resolve(frame)(frame)
-    np.testing.assert_allclose(half.depth_m[:, 2:-2], plain.depth_m[:, 2:-2], rtol=0.05)
-    path.with_suffix(".json").write_text('{"output": "metric-depth", "focal_px": 50}')
-    np.testing.assert_allclose(Mono(weights=path)(frame).depth_m, 2 * plain.depth_m, rtol=1e-5)
-
-
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ('output = "depth"', "metric-depth, relative-depth, disparity"),
-        ('output = "disparity"\nsizes = [1, 2]', "unknown key 'sizes'"),
-        ('output = "disparity"\nsize = [0, 2]', "above 0"),
-        ('output = "disparity"\nsize = "big"', "2 numbers"),
-        ('output = "disparity"\nmean = [1, 2]', "3 numbers"),
-        ('output = "disparity"\nfit = "crop"', "stretch or pad"),
-        ("output = ", "cannot be read"),
-        ('output = "disparity"', "scale-shift"),
-    ],
-)
-def test_wrong_descriptions_are_one_line(tmp_path: Path, text: str, says: str) -> None:
-    path = tmp_path / "mine.onnx"
-    path.write_bytes(b"")
-    path.with_suffix(".toml").write_text(text)
-    with pytest.raises(DataError, match=says) as caught:
-        Mono(weights=path).resolve(ramp())
-    assert "\n" not in str(caught.value)
-
-
-def test_wrong_files_are_one_line(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no such file"):
-        Mono(weights=tmp_path / "no.onnx").resolve(ramp())
-    path = tmp_path / "mine.onnx"
-    path.write_bytes(b"not a network")
-    with pytest.raises(DataError, match=r"mine\.toml"):
-        Mono(weights=path).resolve(ramp())
-    path.with_suffix(".toml").write_text('output = "metric-depth"')
-    with pytest.raises(DataError, match=r"ONNX|onnxruntime"):
-        Mono(weights=path).resolve(ramp())(ramp())
-    with pytest.raises(DataError, match="only our own network"):
-        Mono(weights=path, adapt="lidar")
-
-
-def test_the_encoder_starts_as_imagenet_left_it() -> None:
-    """The first layer answers to an image as the package's own weights do to (image - 127) / 128, borders left out."""
-    try:
-        theirs = torch.load(mobile.imagenet_file(), weights_only=True)
-    except DataError as error:
-        pytest.skip(str(error))
-    encoder = mobile.Mobile(inputs=5).eval()
-    encoder.take_imagenet()
-    image = torch.rand(1, 3, 64, 96, generator=torch.Generator().manual_seed(0))
-    norm = [theirs[f"_bn0.{name}"] for name in ("running_mean", "running_var", "weight", "bias")]
-    expected = F.conv2d((image * 255 - 127) / 128, theirs["_conv_stem.weight"], stride=2, padding=1)
-    expected = F.batch_norm(expected, *norm, eps=1e-3).clamp(0, 6)
-    with torch.no_grad():
-        found = encoder.stem(torch.cat([normalise(image), torch.rand(1, 2, 64, 96)], dim=1))
-    torch.testing.assert_close(found[..., 1:, 1:], expected[..., 1:, 1:], atol=1e-4, rtol=1e-4)
-    block = encoder.blocks[5]
-    assert isinstance(block, mobile.Inverted)
-    torch.testing.assert_close(block.look[0].weight, theirs["_blocks.5._depthwise_conv.weight"])
-    assert [tuple(level.shape) for level in encoder(torch.zeros(1, 5, 64, 96))] == [
-        (1, channels, 64 // step, 96 // step) for channels, step in zip(encoder.channels, (4, 8, 16, 32), strict=True)
-    ]
-
-
-def test_fused_depthwise_layers_compute_the_same() -> None:
-    """ReLU6, groups and strides survive the fusion; both nets are bf16, so only its rounding is left."""
-    torch.manual_seed(1)
-    encoder = mobile.Mobile(inputs=5).eval()
-    with torch.no_grad():
-        for layer in encoder.modules():
-            if isinstance(layer, torch.nn.BatchNorm2d):
-                layer.weight.fill_(4.0)  # so that ReLU6's upper bound counts
-    image = torch.randn(1, 5, 64, 96).to(torch.bfloat16, memory_format=torch.channels_last)
-    plain = channels_last(fold(encoder).to(torch.bfloat16))
-    with torch.inference_mode():
-        expected = plain.stem(image)
-        first, second = plain.blocks[0](expected), plain.blocks[1](plain.blocks[0](expected))
-        fused = fuse(plain)
-        found = fused.stem(image)
-        assert float(expected.max()) == 6 == float(found.max())
-        for ours, theirs in zip((fused.blocks[0](expected), fused.blocks[1](first)), (first, second), strict=True):
-            torch.testing.assert_close(ours, theirs, atol=0.05, rtol=0.05)
