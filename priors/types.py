@@ -94,6 +94,8 @@ class Frame:
     """Distance to the other camera of the stereo pair, metres, > 0."""
     side: Literal["left", "right"] = "left"
     """Which eye of the pair this camera is."""
+    rig: str | None = None
+    """The car that took it, where what its pairs are off by is known (priors/offset.py)."""
 
     def has(self, what: str) -> bool:
         """Tell whether `what` (image, other, sweep, truth, sparse, sky) can be read here."""

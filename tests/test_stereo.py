@@ -22,11 +22,12 @@ from priors.kernels.diffusion import diffuse_columns, link_columns
 from priors.kernels.occlusion import fill_occlusions
 from priors.matching import find_max_disparity, halve, match, quick_match, unlock
 from priors.methods.stereo import Stereo
-from priors.offset import NONE, fit_offset
-from priors.types import Camera, Depth, Frame, Sweep
+from priors.offset import NONE, USUAL, Offset, fit_offset
+from priors.types import Camera, Depth, FloatMap, Frame, Sweep
 
 FX, BASELINE_M = 500.0, 0.5
-IMAGES_ONLY = Stereo(offset_px=NONE)
+ZERO = (0.0, 0.0, 0.0)
+IMAGES_ONLY = Stereo(offset_px=ZERO)
 Rows = npt.NDArray[np.floating]
 
 
@@ -166,7 +167,7 @@ def test_same_input_gives_the_same_map() -> None:
 
 def test_offset_is_added_in_pixels() -> None:
     left, right, _ = scene()
-    plain, moved = (Stereo(offset_px=offset)(frame(left, right)) for offset in (NONE, (1.0, 0.0, 4.0)))
+    plain, moved = (Stereo(offset_px=offset)(frame(left, right)) for offset in (ZERO, (1.0, 0.0, 4.0)))
     X = (np.arange(320) - 160) / FX
     gained_px = FX * BASELINE_M / moved.depth_m - FX * BASELINE_M / plain.depth_m
     assert np.allclose(gained_px, 1 + 4 * X * X, atol=1e-3)
@@ -205,10 +206,21 @@ def test_bad_input_is_named() -> None:
         Stereo(max_disparity_px=0)
 
 
-def test_resolve_without_lidar_is_zero() -> None:
+def test_resolve_without_lidar_is_what_the_rig_usually_has() -> None:
     left, right, _ = scene()
-    assert Stereo().resolve(frame(left, right)) == IMAGES_ONLY
-    assert Stereo(offset_px=(1, 2, 3)).resolve(frame(left, right)).offset_px == (1, 2, 3)
+    assert Stereo().resolve(frame(left, right)) == Stereo(offset_px=ZERO, scale=1.0)
+    kitti = Stereo().resolve(frame(left, right, rig="kitti"))
+    assert Offset(kitti.offset_px or ZERO, kitti.scale or 0) == USUAL["kitti"]
+    given = Stereo(offset_px=(1, 2, 3)).resolve(frame(left, right, rig="kitti"))
+    assert (given.offset_px, given.scale) == ((1, 2, 3), 1.0)
+
+
+def test_scale_multiplies_the_disparity() -> None:
+    left, right = pair(20.0)
+    plain, scaled = (Stereo(offset_px=ZERO, scale=scale)(frame(left, right)) for scale in (1.0, 0.98))
+    np.testing.assert_allclose(scaled.depth_m, plain.depth_m / 0.98, rtol=1e-5)
+    with pytest.raises(DataError, match=r"offset-px beside it"):
+        Stereo(scale=0.98)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
@@ -222,22 +234,51 @@ def test_resolve_measures_the_offset(side: Any) -> None:
     image, other = (left, right) if side == "left" else (right, left)
     readers = {"image": lambda: image, "other": lambda: other, "sweep": lambda offset=0: sweep}
     made = frame(image, other, readers=readers, T_cam_lidar=np.eye(4), side=side)
-    offset_px = Stereo().resolve(made).offset_px
-    assert offset_px is not None
-    assert offset_px[0] == pytest.approx(0.6, abs=0.05)
-    assert np.median(Stereo(offset_px=offset_px)(made).depth_m) == pytest.approx(depth_m, rel=0.01)
+    resolved = Stereo().resolve(made)
+    assert resolved.offset_px is not None and resolved.scale is not None
+    assert resolved.offset_px[0] == pytest.approx(0.6, abs=0.05)
+    assert np.median(resolved(made).depth_m) == pytest.approx(depth_m, rel=0.01)
+
+
+def road_and_walls() -> tuple[Camera, FloatMap, FloatMap]:
+    """Return a camera, disparities of walls above a road, (120, 320) px, and their slope, px a row."""
+    camera = Camera(np.array([[200, 0, 160], [0, 200, 60], [0, 0, 1.0]]), (120, 320))
+    slope = np.zeros((120, 320), np.float32)
+    slope[60:] = 0.3
+    walls = np.where(np.arange(320) // 40 % 2, 20, 35).astype(np.float32)
+    matched_px = walls + np.cumsum(slope, axis=0, dtype=np.float32)
+    return camera, matched_px, slope
+
+
+@pytest.mark.parametrize("usual", [NONE, USUAL["kitti"]], ids=["none", "kitti"])
+def test_offset_has_a_curve_and_a_scale(usual: Offset) -> None:
+    rng = np.random.default_rng(0)
+    camera, matched_px, slope = road_and_walls()
+    true = Offset((0.5, -0.2, 2.0), 0.985)
+    true_px = true.correct(matched_px, camera) + rng.normal(0, 0.1, slope.shape).astype(np.float32)
+    found = fit_offset(camera, true_px, matched_px, slope, usual)
+    assert found.curve_px == pytest.approx(true.curve_px, abs=0.05)
+    assert found.scale == pytest.approx(true.scale, abs=0.002)
+    assert fit_offset(camera, np.zeros_like(matched_px), matched_px, slope, usual) == usual
 
 
 def test_offset_is_not_the_lidars_tilt() -> None:
     rng = np.random.default_rng(0)
-    camera = Camera(np.array([[200, 0, 160], [0, 200, 60], [0, 0, 1.0]]), (120, 320))
-    slope = np.zeros((120, 320), np.float32)
-    slope[60:] = 0.3  # a road below, walls above
-    matched_px = np.float32(20) + np.cumsum(slope, axis=0, dtype=np.float32)
-    X = (np.arange(320) - 160) / 200
-    true_px = matched_px + 0.5 + 2 * X * X + 1.2 * slope + rng.normal(0, 0.1, slope.shape)
-    assert fit_offset(camera, true_px.astype(np.float32), matched_px, slope) == pytest.approx((0.5, 0, 2), abs=0.05)
-    assert fit_offset(camera, np.zeros_like(matched_px), matched_px, slope) == NONE
+    camera, matched_px, slope = road_and_walls()
+    true_px = matched_px + 0.5 + 1.2 * slope + rng.normal(0, 0.1, slope.shape).astype(np.float32)
+    found = fit_offset(camera, true_px, matched_px, slope)
+    assert found.curve_px == pytest.approx((0.5, 0, 0), abs=0.05)
+    assert found.scale == pytest.approx(1, abs=0.003)
+
+
+def test_offset_in_the_mirror() -> None:
+    """Correcting a mirrored map by the mirrored offset is mirroring the corrected one."""
+    camera, matched_px, _ = road_and_walls()
+    K = camera.K.copy()
+    K[0, 2] = 319 - K[0, 2]
+    offset = Offset((0.5, -0.2, 2.0), 0.985)
+    mirrored = offset.mirrored().correct(matched_px[:, ::-1], Camera(K, camera.size))
+    np.testing.assert_allclose(mirrored[:, ::-1], offset.correct(matched_px, camera), atol=1e-5)
 
 
 def test_diffusion_keeps_a_plane_and_stops_at_an_edge() -> None:
@@ -300,7 +341,7 @@ def score(depth: Depth, truth: Depth, share: float, by: str) -> tuple[float, flo
     return float(np.mean(np.abs(error_m) / true_m[kept])), float(np.sqrt(np.mean(error_m**2)))
 
 
-@pytest.mark.parametrize("offset_px", [NONE, None], ids=["images-only", "calibrated"])
+@pytest.mark.parametrize("offset_px", [ZERO, None], ids=["images-only", "calibrated"])
 def test_goal_on_drive_0001(offset_px: Any, real_data: Callable[..., Path]) -> None:
     path = real_data("kitti_raw", "2011_09_26", "2011_09_26_drive_0001_sync")
     drive = open_drive(path, options=DriveOptions(truth=real_data("kitti_depth")))

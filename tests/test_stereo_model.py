@@ -16,11 +16,11 @@ from priors.filters import Filters
 from priors.methods import _stereo_network as network
 from priors.methods.stereo import Stereo
 from priors.nets import runtime, weights
-from priors.offset import NONE
 from priors.types import Depth
 
-NET = Stereo(model="cfnet", runtime="fp32", offset_px=NONE)
-MODELS = pytest.mark.parametrize("method", [NET, Stereo(offset_px=NONE)], ids=["network", "classical"])
+ZERO = (0.0, 0.0, 0.0)
+NET = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO)
+MODELS = pytest.mark.parametrize("method", [NET, Stereo(offset_px=ZERO)], ids=["network", "classical"])
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +49,7 @@ def test_range_comes_from_the_scene_in_steps_of_32() -> None:
     for disparity_px, low, high in ((12.0, 32, 64), (45.0, 64, 96)):
         NET(frame(*pair(disparity_px)))
         assert low <= net.asked[-1] <= high and net.asked[-1] % 32 == 0
-    Stereo(model="cfnet", runtime="fp32", offset_px=NONE, max_disparity_px=32)(frame(*pair(12.0)))
+    Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=32)(frame(*pair(12.0)))
     assert net.asked[-1] == 64  # 0 to 32 are 33
 
 
@@ -65,7 +65,7 @@ def test_right_camera_is_the_left_one_in_the_mirror() -> None:
 def test_offset_is_added_in_pixels() -> None:
     left, right, _ = scene()
     plain, moved = (
-        Stereo(model="cfnet", runtime="fp32", offset_px=offset)(frame(left, right)) for offset in (NONE, (1.0, 0, 4.0))
+        Stereo(model="cfnet", runtime="fp32", offset_px=offset)(frame(left, right)) for offset in (ZERO, (1.0, 0, 4.0))
     )
     X = (np.arange(320) - 160) / FX
     gained_px = FX * BASELINE_M / moved.depth_m - FX * BASELINE_M / plain.depth_m
@@ -98,7 +98,7 @@ def test_large_pairs_are_halved(monkeypatch: pytest.MonkeyPatch) -> None:
     assert network.count_halvings((375, 1242), 600) == 1
     monkeypatch.setattr(network, "MOST_PIXELS", 120 * 320 - 1)
     net: Any = runtime.open_net("cfnet", "s", "fp32").net
-    depth = Stereo(model="cfnet", runtime="fp32", offset_px=NONE, max_disparity_px=60)(frame(*pair(24.0)))
+    depth = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=60)(frame(*pair(24.0)))
     assert net.asked[-1] == 32
     assert np.median(np.abs(FX * BASELINE_M / depth.depth_m - 24)[:, 60:-60]) < 0.3 and finite(depth, (120, 320))
 
@@ -164,7 +164,7 @@ def test_what_is_no_image_is_said(method: Stereo) -> None:
 def test_twelve_million_pixels() -> None:
     small = np.random.default_rng(0).integers(0, 256, (300, 400), dtype=np.uint8)
     image = np.kron(small, np.ones((10, 10), np.uint8))
-    method = Stereo(model="cfnet", runtime="fp32", offset_px=NONE, max_disparity_px=100)
+    method = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=100)
     depth = method(frame(image, np.roll(image, -40, axis=1)))
     assert finite(depth, (3000, 4000))
     assert np.median(np.abs(FX * BASELINE_M / depth.depth_m - 40)) < 1
@@ -210,12 +210,12 @@ def test_onnx_gives_the_same_depth(tmp_path: Path) -> None:
     from priors.nets.export import to_onnx
 
     left, right, _ = scene()
-    exact = Stereo(model="cfnet", runtime="fp32", offset_px=NONE, max_disparity_px=60)(frame(left, right))
+    exact = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=60)(frame(left, right))
     file = tmp_path / "a.onnx"
     codecs.write_bytes(file, to_onnx(runtime.open_net("cfnet", "s", "onnx"), (128, 320), 64))
     for method in (
-        Stereo(model="cfnet", runtime="onnx", offset_px=NONE, max_disparity_px=60),
-        Stereo(model="cfnet", weights=file, offset_px=NONE),
+        Stereo(model="cfnet", runtime="onnx", offset_px=ZERO, max_disparity_px=60),
+        Stereo(model="cfnet", weights=file, offset_px=ZERO),
     ):
         depth = method(frame(left, right))
         assert np.mean(np.abs(depth.depth_m / exact.depth_m - 1) < 0.01) > 0.98

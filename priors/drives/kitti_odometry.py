@@ -150,6 +150,7 @@ class KittiOdometry:
             T_cam_lidar=None if self._T_cam0_velo is None else self._T_cam_cam0 @ self._T_cam0_velo,
             time_s=self._times.get(id_),
             baseline_m=self.baseline_m,
+            rig="kitti",
             side=self.side,
         )
 

@@ -152,6 +152,7 @@ class KittiRaw:
             T_cam_lidar=self._T_cam_velo,
             time_s=self._times.get(int(id_)),
             baseline_m=self.baseline_m,
+            rig="kitti",
             side=self.side,
         )
 

@@ -1,4 +1,4 @@
-"""A frame's stereo pair: read with this camera as the left one, checked, and how far its rectification is off."""
+"""A frame's stereo pair: read with this camera as the left one, checked, and how far its disparities are off."""
 
 from typing import TypeVar
 
@@ -7,8 +7,8 @@ import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.matching import largest_disparity, quarter_match
-from priors.offset import NONE, Offset, measure_offset
-from priors.types import Camera, FloatMap, Frame, Image, Matrix
+from priors.offset import NONE, USUAL, Offset, measure_offset
+from priors.types import Camera, Frame, Image, Matrix
 
 Kind = TypeVar("Kind", bound=np.generic)
 FEW, MANY = 0.45, 0.55
@@ -62,18 +62,19 @@ def find_range(frame: Frame, image: Image, other: Image) -> int:
 
 
 def calibrate(frame: Frame, max_disparity_px: int | None) -> Offset:
-    """Measure the pair's disparity offset against the frame's own sweep; zeros where either is missing."""
+    """Measure the pair's offset against the frame's own sweep; without one it is what the rig's pairs usually have."""
+    usual = USUAL.get(frame.rig or "", NONE)
     if frame.T_cam_lidar is None or frame.baseline_m is None or not (frame.has("sweep") and frame.has("other")):
-        return NONE
+        return usual
     sweep = frame.sweep()
     if sweep is None:
-        return NONE
+        return usual
     image, other = read_pair(frame)
     camera, T_cam_lidar = frame.camera, frame.T_cam_lidar
     if frame.side == "right":
-        camera, T_cam_lidar = mirror(camera, T_cam_lidar)
-    a, b, c = measure_offset(image, other, camera, frame.baseline_m, sweep, T_cam_lidar, max_disparity_px)
-    return (a, b, c) if frame.side == "left" else (a, -b, c)
+        camera, T_cam_lidar, usual = *mirror(camera, T_cam_lidar), usual.mirrored()
+    found = measure_offset(image, other, camera, frame.baseline_m, sweep, T_cam_lidar, max_disparity_px, usual)
+    return found if frame.side == "left" else found.mirrored()
 
 
 def mirror(camera: Camera, T_cam_lidar: Matrix) -> tuple[Camera, Matrix]:
@@ -86,9 +87,3 @@ def mirror(camera: Camera, T_cam_lidar: Matrix) -> tuple[Camera, Matrix]:
 def unmirror(frame: Frame, map_: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
     """Turn a map made from `read_pair` back into the frame's own view."""
     return map_ if frame.side == "left" else np.ascontiguousarray(map_[:, ::-1])
-
-
-def offset_row(camera: Camera, offset_px: Offset) -> FloatMap:
-    """Return the offset of every column's disparity: (1, width) px."""
-    X = (np.arange(camera.size[1]) - camera.K[0, 2]) / camera.fx
-    return np.polynomial.polynomial.polyval(X, offset_px)[None].astype(np.float32)

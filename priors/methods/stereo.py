@@ -9,8 +9,8 @@ import numpy as np
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
 from priors.methods import _stereo_classical as classical
-from priors.methods._stereo_pair import baseline, calibrate, find_range, offset_row, read_pair, unmirror
-from priors.offset import NONE
+from priors.methods._stereo_pair import baseline, calibrate, find_range, read_pair, unmirror
+from priors.offset import NONE, Offset
 from priors.sky import doubt, rows_below, sky_mask
 from priors.types import Depth, FloatMap, Frame, Image
 
@@ -34,15 +34,19 @@ class Stereo:
     max_disparity_px: int | None = None
     """Largest disparity searched; default: what each pair's scene needs."""
     offset_px: tuple[float, float, float] | None = None
-    """a b c: a + b X + c X^2 is added to the disparity, X = (column - cx) / fx: what the pair's rectification is off.
-    Default: measured against the LiDAR sweep of the drive's first frame; 0 0 0 where there is none. Give 0 0 0 for
-    depth from the images alone."""
+    """a b c: scale * disparity + a + b X + c X^2 is what the calibration promises, X = (column - cx) / fx.
+    Default: measured, with the scale, against the LiDAR sweep of the drive's first frame; where there is none, what
+    the rig's pairs usually have (KITTI), else 0 0 0. Give 0 0 0 for depth from the images alone."""
+    scale: float | None = None
+    """See offset-px. Default: measured with it; 1 where the offset is given."""
 
     def __post_init__(self) -> None:
         if self.max_disparity_px is not None and self.max_disparity_px < 1:
             raise DataError(f"stereo: max disparity is {self.max_disparity_px}, expected 1 or more pixels")
         if self.model == "classical" and self.weights is not None:
             raise DataError(f"--stereo.weights {self.weights}: which network is it of? Name it by --stereo.model")
+        if self.scale is not None and (self.offset_px is None or not 0.5 < self.scale < 2):
+            raise DataError(f"--stereo.scale {self.scale}: expected about 1, and --stereo.offset-px beside it")
 
     @property
     def reads(self) -> tuple[str, ...]:
@@ -50,7 +54,7 @@ class Stereo:
         return ("image", "other")
 
     def resolve(self, frame: Frame) -> Self:
-        """Return the config with the runtime chosen, and the offset measured on this frame or zero without a LiDAR."""
+        """Return the config with the runtime chosen, and the offset measured on this frame or the rig's usual one."""
         resolved = self
         if self.model == "classical":
             resolved = replace(self, size=type(self).size, runtime=type(self).runtime)  # they decide nothing
@@ -58,9 +62,8 @@ class Stereo:
             from priors.nets import runtime
 
             resolved = replace(self, runtime=runtime.choose(self.runtime, self.weights))
-        if self.offset_px is not None:
-            return resolved
-        return replace(resolved, offset_px=calibrate(frame, self.max_disparity_px))
+        offset = self._offset() if self.offset_px is not None else calibrate(frame, self.max_disparity_px)
+        return replace(resolved, offset_px=offset.curve_px, scale=offset.scale)
 
     def weights_digest(self) -> str | None:
         """Return the hash of the network's weights, for the cache's key; None for the classical method."""
@@ -85,7 +88,7 @@ class Stereo:
         disparity_px[rows], trust[rows] = self._match(image[rows], other[rows], self.max_disparity_px or needed_px)
         disparity_px, trust = unmirror(frame, disparity_px), unmirror(frame, trust)
         found = disparity_px > 0
-        disparity_px = disparity_px + offset_row(frame.camera, self.offset_px or NONE)
+        disparity_px = self._offset().correct(disparity_px, frame.camera)
         least_px = np.float32(fx_baseline / FARTHEST_M)
         beyond = disparity_px <= least_px
         np.maximum(disparity_px, least_px, out=disparity_px)
@@ -95,6 +98,9 @@ class Stereo:
         else:
             found &= ~beyond  # the disparity of the sky may be right, but its depth is not known
         return doubt(Depth(depth_m, np.where(found, trust, np.float32(0))), unmirror(frame, sky))
+
+    def _offset(self) -> Offset:
+        return Offset(self.offset_px or NONE.curve_px, NONE.scale if self.scale is None else self.scale)
 
     def _match(self, image: Image, other: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
         """Return disparity and the error to expect of it, px; of a network, disparity and confidence."""

@@ -5,8 +5,8 @@
 
 Prints a table and draws the error-time plot. Times are of the method alone, images in memory, contestants in turn; the
 ratio is the median over pairs of runs that stood side by side. Memory is the largest resident size of a process of its
-own that makes one map. Errors are against the drive's truth, uncapped, mean over images: from the images alone, and
-with the offset that the first frame's LiDAR sweep gives (docs/methods/stereo.md).
+own that makes one map. Errors are against the drive's truth, uncapped, mean over images: from the images alone, with
+KITTI's usual offset, and with the one that the first frame's LiDAR sweep gives (docs/methods/stereo.md).
 """
 
 import argparse
@@ -31,7 +31,7 @@ from priors import codecs
 from priors.drives import DriveOptions, open_drive
 from priors.methods.stereo import Stereo
 from priors.nets.weights import FOLDER
-from priors.offset import NONE
+from priors.offset import USUAL, Offset
 from priors.types import Frame
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -46,7 +46,7 @@ def main() -> None:
     drive = open_drive(options.data, options=DriveOptions(truth=options.truth))
     frames = [drive[index] for index in range(len(drive)) if drive[index].has("truth")][: options.frames]
     frames = [in_memory(frame) for frame in frames or [drive[0]]]
-    everyone = contestants(options.weights, options.runtimes, NONE, options.psmnet, options.psmnet_weights)
+    everyone = contestants(options.weights, options.runtimes, options.psmnet, options.psmnet_weights)
     if options.only:
         run = next(c for c in everyone if c.name == options.only).run
         run(frames[0])
@@ -54,8 +54,8 @@ def main() -> None:
         return
     peaks = {c.name: peak_gib(c.name) for c in everyone}
     seconds = measure(everyone, frames, options.rounds)
-    offset_px = Stereo().resolve(frames[0]).offset_px or NONE
-    print(f"offset of frame {frames[0].id}: {offset_px} px\n")
+    offsets = {"usual": USUAL["kitti"], "measured": measured(frames[0])}
+    print(f"offsets, a b c px and scale: {offsets}\n")
     print("| method | ms | of SGBM | peak GiB | density | AbsRel | SqRel m | RMSE m | EPE px | D1 % |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     dots = []
@@ -65,15 +65,24 @@ def main() -> None:
         cells = [f"{1e3 * np.median(seconds[name]):.0f}", f"{ratio:.2f}", f"{peaks[name]:.2f}"]
         figures = errors(contestant, frames)
         print(row(name, cells, figures), flush=True)
-        dots.append(
-            Dot(name, 1e3 * float(np.median(seconds[name])), figures.get(options.error, np.nan), contestant.family)
-        )
-        if any(offset_px) and (moved := with_offset(contestant, offset_px)) is not None:
-            print(row(f"{name}, with offset", ["", "", ""], errors(moved, frames)), flush=True)
+        for kind, offset in offsets.items():
+            if (moved := with_offset(contestant, offset)) is not None:
+                shifted = errors(moved, frames)
+                figures = shifted if kind == "usual" else figures
+                print(row(f"{name}, {kind} offset", ["", "", ""], shifted), flush=True)
+        error = figures.get(options.error, np.nan)
+        dots.append(Dot(name, 1e3 * float(np.median(seconds[name])), error, contestant.family))
     if all(np.isfinite(dot.error) for dot in dots):
-        title = f"{drive.name}, {len(frames)} pairs, images alone"
+        title = f"{drive.name}, {len(frames)} pairs, KITTI's usual offset"
         codecs.write_image(options.plot, scatter(dots, options.error_name, title))
         print(f"\nwrote {options.plot}")
+
+
+def measured(frame: Frame) -> Offset:
+    """Return the offset measured on a frame's sweep."""
+    resolved = Stereo().resolve(frame)
+    assert resolved.offset_px is not None and resolved.scale is not None
+    return Offset(resolved.offset_px, resolved.scale)
 
 
 def parse() -> argparse.Namespace:

@@ -87,7 +87,7 @@ def main() -> None:
     frames = [frame for frame in frames if frame.has("truth")]
     if not frames:
         return
-    print(f"offset measured on frame {drive[0].id}: {calibrated.offset_px} px")
+    print(f"offset measured on frame {drive[0].id}: {calibrated.offset_px} px, scale {calibrated.scale}")
     print(f"{'':24}{'density':>8}{'AbsRel':>8}{'RMSE':>8}{'MAE':>8}")
     for name, run in (
         ("3-way SGBM", three_way),

@@ -3,7 +3,7 @@
 import importlib.util
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from priors.geometry import convert_disparity
 from priors.matching import halve, to_grey
 from priors.methods.stereo import Stereo
-from priors.offset import Offset
+from priors.offset import NONE, Offset
 from priors.types import Depth, Frame
 
 MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -32,17 +32,17 @@ class Contestant:
 
 
 def contestants(
-    folder: Path, runtimes: list[str], offset_px: Offset, peer: Path | None, peer_weights: Path | None
+    folder: Path, runtimes: list[str], peer: Path | None = None, peer_weights: Path | None = None
 ) -> list[Contestant]:
-    """List them; ours with the weights in a folder and the offset given, the peers as they are."""
+    """List them, all from the images alone; ours with the weights in a folder, the peers as they are."""
     found = [Contestant("SGBM full", sgbm, 0), Contestant("SGBM half", sgbm_half, 0)]
-    found.append(Contestant("classical", Stereo(offset_px=offset_px), 1))
+    found.append(Contestant("classical", Stereo(offset_px=NONE.curve_px), 1))
     for family, model in enumerate(("cfnet", "pcwnet"), start=2):
         for size in ("s", "m", "l"):
             file = folder / f"{model}-{size}.safetensors"
             if file.is_file():
                 found += [
-                    Contestant(f"{model}-{size} {runtime}", _ours(model, size, runtime, file, offset_px), family)
+                    Contestant(f"{model}-{size} {runtime}", _ours(model, size, runtime, file), family)
                     for runtime in runtimes
                 ]
     if peer is not None and peer_weights is not None:
@@ -50,28 +50,30 @@ def contestants(
     return found
 
 
-def _ours(model: Any, size: Any, runtime: Any, file: Path, offset_px: Offset) -> Stereo:
-    return Stereo(model=model, size=size, runtime=runtime, weights=file, offset_px=offset_px)
+def _ours(model: Any, size: Any, runtime: Any, file: Path) -> Stereo:
+    return Stereo(model=model, size=size, runtime=runtime, weights=file, offset_px=NONE.curve_px)
 
 
-def with_offset(contestant: Contestant, offset_px: Offset) -> Contestant | None:
-    """Return one of ours with another offset; None for a peer."""
-    if not isinstance(contestant.run, Stereo):
-        return None
-    return replace(contestant, run=replace(contestant.run, offset_px=offset_px))
+def with_offset(contestant: Contestant, offset: Offset) -> Contestant | None:
+    """Return a matcher with an offset; None for PSMNet, which has learned KITTI's."""
+    run = contestant.run
+    if isinstance(run, Stereo):
+        return replace(contestant, run=replace(run, offset_px=offset.curve_px, scale=offset.scale))
+    return None if contestant.once else replace(contestant, run=partial(run, offset=offset))
 
 
-def sgbm(frame: Frame) -> Depth:
+def sgbm(frame: Frame, offset: Offset = NONE) -> Depth:
     """OpenCV's 3-way matcher at 192 disparities, grey; what it leaves out is left out."""
-    return _depth(frame, _match(to_grey(frame.image()), to_grey(frame.other()), 192))
+    return _depth(frame, _match(to_grey(frame.image()), to_grey(frame.other()), 192), offset)
 
 
-def sgbm_half(frame: Frame) -> Depth:
+def sgbm_half(frame: Frame, offset: Offset = NONE) -> Depth:
     """The same at half the size, 96 disparities; the result is doubled to full size."""
     image, other = halve(to_grey(frame.image())), halve(to_grey(frame.other()))
     height, width = frame.camera.size
     half = _match(image, other, 96)
-    return _depth(frame, 2 * cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=0)[:height, :width])
+    doubled = 2 * cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=0)
+    return _depth(frame, doubled[:height, :width], offset)
 
 
 def _match(image: Any, other: Any, count: int) -> Any:
@@ -79,9 +81,10 @@ def _match(image: Any, other: Any, count: int) -> Any:
     return np.maximum(matcher.compute(image, other).astype(np.float32) / 16, 0)
 
 
-def _depth(frame: Frame, disparity_px: Any) -> Depth:
+def _depth(frame: Frame, matched_px: Any, offset: Offset = NONE) -> Depth:
     assert frame.baseline_m is not None
-    return Depth(convert_disparity(disparity_px, frame.camera.fx, frame.baseline_m))
+    disparity_px = np.where(matched_px > 0, np.maximum(offset.correct(matched_px, frame.camera), 1.0), 0)
+    return Depth(convert_disparity(disparity_px.astype(np.float32), frame.camera.fx, frame.baseline_m))
 
 
 def psmnet(frame: Frame, peer: Path, peer_weights: Path) -> Depth:
