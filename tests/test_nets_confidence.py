@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from priors.learn.confidence import CLEARLY, Seen, area, calibrate, ratios
+from priors.learn.confidence import CLEARLY, FAR, Seen, area, calibrate, ratios
 from priors.nets.confidence import TERMS, Calibration, evidence, falling, fit, is_hidden, miscalibration
 
 
@@ -90,14 +90,26 @@ def test_different_scores_get_different_probabilities() -> None:
     assert (np.diff(made.probabilities) < 0).all() and (np.diff(made.scores) > 0).all()
 
 
-def test_distance_helps_the_relative_error_and_the_choice_minds_both() -> None:
+@pytest.mark.parametrize("clearly", [0.8, CLEARLY], ids=["reached", "out of reach"])
+def test_distance_counts_as_little_as_does_it(clearly: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("priors.learn.confidence.CLEARLY", clearly)
     seen = drawn()
-    plain, far = (ratios(fit(seen.terms, seen.within, far), seen) for far in (0.0, 2.0))
-    assert far[0] < plain[0]
-    made = calibrate([seen, drawn(3, n=5000)])
-    assert max(ratios(made, seen)) < CLEARLY
-    distance = made.weights[TERMS.index("distance")]
-    assert distance < 2.0
+    worst = [max(ratios(fit(seen.terms, seen.within, far), seen)) for far in FAR]
+    assert worst[-1] < worst[0]
+    clear = [far for far, ratio in zip(FAR, worst, strict=True) if ratio < clearly]
+    made = calibrate([seen])
+    assert made.weights[TERMS.index("distance")] == (clear[0] if clear else FAR[int(np.argmin(worst))])
+    assert bool(clear) == (clearly > CLEARLY)
+
+
+def test_ratios_know_a_perfect_and_a_reversed_order() -> None:
+    """The score of pixels whose errors are known: sorted by error nothing does better, the other way nothing worse."""
+    seen = drawn()
+    relative = np.abs(seen.truth_px / seen.disparity_px - 1)
+    by_error = Seen(np.stack([relative, *seen.terms[1:]]), seen.disparity_px, seen.truth_px)
+    best, worst = (Calibration((sign, 0, 0, 0, 0), (0.0, 1.0), (1.0, 0.0)) for sign in (1.0, -1.0))
+    assert ratios(best, by_error)[0] < min(ratios(fit(seen.terms, seen.within, far), seen)[0] for far in FAR)
+    assert min(ratios(worst, by_error)) > 1
 
 
 def test_area_is_the_mean_of_the_curve() -> None:

@@ -7,8 +7,9 @@ any), fits the score and the table of nets/confidence.py on every second frame, 
 and writes them into the header of the weights.
 
 How much distance counts (see nets/confidence.fit) is the least that makes the area under the sparsification curve
-clearly smaller than that of dropping the farthest first, in relative error and in D1, on each source's fitted half: the
-more it counts, the more the probabilities depend on how far away things are in the data at hand.
+clearly smaller than that of dropping the farthest first, in relative error, in D1 and in squared metres, on each
+source's fitted half: the more it counts, the more the probabilities depend on how far away things are in the data at
+hand.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -34,8 +35,12 @@ PER_ITEM = 6000
 CROP = (256, 512)
 FAR = (0.0, 0.25, 0.5, 0.75, 1.0, 1.5, 2.0)
 """Weights of distance that are tried."""
-CLEARLY = 0.9
+CLEARLY = 0.7
 """Ratio of areas."""
+FARTHEST_PX = 4.5
+"""Least disparity whose squared error in metres counts: 86 m for KITTI, whose scores end there."""
+LARGEST = 1.0
+"""What a relative error counts at most."""
 Flat = npt.NDArray[np.float64]
 
 
@@ -87,7 +92,7 @@ def join(parts: Iterable[Seen]) -> Seen:
 
 
 def calibrate(parts: Sequence[Seen]) -> Calibration:
-    """Fit a calibration to all parts whose order of the pixels beats farthest first in each, in both errors.
+    """Fit a calibration to all parts whose order of the pixels beats farthest first in each, in every error.
 
     With the least weight of distance that does it clearly, or else the one that comes nearest to it.
     """
@@ -98,19 +103,21 @@ def calibrate(parts: Sequence[Seen]) -> Calibration:
     return clear[0] if clear else tried[int(np.argmin(worst))]
 
 
-def ratios(calibration: Calibration, seen: Seen) -> tuple[float, float]:
-    """Return the area under the sparsification curve against farthest first's: of relative error, and of D1.
+def ratios(calibration: Calibration, seen: Seen) -> tuple[float, float, float]:
+    """Return areas under the sparsification curve against farthest first's: of relative error, D1 and squared metres.
 
-    The pixels are sorted by the score: a table has steps.
+    The pixels are sorted by the score: a table has steps. The baseline cancels out.
     """
-    relative = np.abs(seen.truth_px / seen.disparity_px - 1).astype(np.float64)
+    relative = np.minimum(np.abs(seen.truth_px / seen.disparity_px - 1), LARGEST)
     error_px = np.abs(seen.disparity_px - seen.truth_px)
-    outlier = ((error_px > 3) & (error_px > 0.05 * seen.truth_px)).astype(np.float64)
+    outlier = (error_px > 3) & (error_px > 0.05 * seen.truth_px)
+    squared = np.where(seen.truth_px > FARTHEST_PX, np.square(relative / seen.truth_px), 0)
     score, distance = calibration.score(seen.terms), -seen.disparity_px
-    first, second = (
-        area(error, score) / max(area(error, distance), 1e-12) for error in (np.minimum(relative, 1.0), outlier)
+    first, second, third = (
+        area(error.astype(np.float64), score) / max(area(error.astype(np.float64), distance), 1e-12)
+        for error in (relative, outlier, squared)
     )
-    return first, second
+    return first, second, third
 
 
 def area(error: Flat, score: FloatMap) -> float:
@@ -122,11 +129,11 @@ def area(error: Flat, score: FloatMap) -> float:
 def report(name: str, calibration: Calibration, seen: Seen) -> str:
     """Say how well a calibration holds."""
     confidence = calibration.probability(calibration.score(seen.terms))
-    relative, outlier = ratios(calibration, seen)
+    relative, outlier, squared = ratios(calibration, seen)
     return (
         f"{name}: says {confidence.mean():.3f}, is {seen.within.mean():.3f}; calibration error "
         f"{miscalibration(confidence, seen.within):.4f}; area against farthest first: AbsRel {relative:.2f}, "
-        f"D1 {outlier:.2f}"
+        f"D1 {outlier:.2f}, m² {squared:.2f}"
     )
 
 
