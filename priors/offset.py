@@ -17,39 +17,47 @@ FEWEST = 500  # LiDAR points with a match: fewer say nothing about a curve
 LARGEST_PX = 4.0  # differences above are mismatches, not rectification
 SCALE_PX = 0.3  # differences well above count little
 ROUNDS = 20
-PRIOR = (np.inf, 1.0, 2.0, 0.02, 0.3)
-"""What a, b, c (px), the scale and the sweep's registration (rows) may differ from the usual, unless points say so."""
+PRIOR = (np.inf, 1.0, 2.0, 1.0, 0.02, 0.3)
+"""What a, b, c, e (px), the scale and the sweep's registration (rows) may differ from the usual, unless points say
+so."""
 NOISE_PX = 2.0  # of one point, for the prior: neighbouring points share their errors
 STEEPEST = 0.6  # px per row: what is steeper is an edge, not a road
 
 
 @dataclass(frozen=True)
 class Offset:
-    """What turns matched disparities into those that the calibration promises: scale * d + a + b X + c X^2 px.
+    """What turns matched disparities into those that the calibration promises: scale * d + a + b X + c X^2 + e X Y px.
 
-    X = (column - cx) / fx. A pair whose relative yaw is off by w shifts by fx w (1 + X^2), the principal point takes
-    some of the constant, and a baseline that is longer than its calibration says makes disparities too large.
+    X = (column - cx) / fx, Y = (row - cy) / fy. A pair whose relative yaw is off by w shifts by fx w (1 + X^2), one
+    whose pitch is, by fx w X Y; principal points and focal lengths make a and b, and a baseline that is longer than its
+    calibration says makes disparities too large.
     """
 
-    curve_px: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """a, b, c."""
+    field_px: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    """a, b, c, e."""
     scale: float = 1.0
     """True over calibrated baseline, inverted."""
 
     def correct(self, disparity_px: FloatMap, camera: Camera) -> FloatMap:
         """Return corrected disparities (height, width), px."""
-        X = (np.arange(camera.size[1]) - camera.K[0, 2]) / camera.fx
-        row = np.polynomial.polynomial.polyval(X, self.curve_px)[None].astype(np.float32)
-        return np.float32(self.scale) * disparity_px + row
+        height, width = camera.size
+        X = (np.arange(width) - camera.K[0, 2]) / camera.fx
+        Y = (np.arange(height) - camera.K[1, 2]) / camera.K[1, 1]
+        a, b, c, e = self.field_px
+        row, column = (a + b * X + c * X * X).astype(np.float32), (e * Y).astype(np.float32)[:, None]
+        corrected: FloatMap = np.float32(self.scale) * disparity_px
+        corrected += column * X.astype(np.float32)
+        corrected += row
+        return corrected
 
     def mirrored(self) -> Self:
         """Return the same for the horizontally mirrored image."""
-        a, b, c = self.curve_px
-        return replace(self, curve_px=(a, -b, c))
+        a, b, c, e = self.field_px
+        return replace(self, field_px=(a, -b, c, -e))
 
 
 NONE = Offset()
-USUAL = {"kitti": Offset((0.4, 0.0, 1.1), 0.982)}
+USUAL = {"kitti": Offset((0.4, 0.0, 1.1, -1.2), 0.982)}
 """What the pairs of a known rig are off by where nothing can be measured; where from: docs/methods/stereo.md."""
 
 
@@ -86,13 +94,14 @@ def fit_offset(
     both = (true_px > 0) & (matched_px > 0) & (np.abs(true_px - matched_px) < LARGEST_PX)
     if np.count_nonzero(both) < FEWEST:
         return usual
-    X = (np.nonzero(both)[1] - camera.K[0, 2]) / camera.fx
+    rows, columns = np.nonzero(both)
+    X, Y = (columns - camera.K[0, 2]) / camera.fx, (rows - camera.K[1, 2]) / camera.K[1, 1]
     matched = matched_px[both].astype(np.float64)
-    A = np.stack([np.ones_like(X), X, X * X, matched, np.clip(slope[both], -STEEPEST, STEEPEST)], axis=1)
+    A = np.stack([np.ones_like(X), X, X * X, X * Y, matched, np.clip(slope[both], -STEEPEST, STEEPEST)], axis=1)
     left_px = true_px[both] - usual.correct(matched_px, camera)[both]
     solution = _solve_robustly(A, left_px.astype(np.float64))
-    a, b, c = (round(known + float(more), 3) for known, more in zip(usual.curve_px, solution[:3], strict=True))
-    return Offset((a, b, c), round(usual.scale + float(solution[3]), 4))
+    a, b, c, e = (round(known + float(more), 3) for known, more in zip(usual.field_px, solution[:4], strict=True))
+    return Offset((a, b, c, e), round(usual.scale + float(solution[4]), 4))
 
 
 def _solve_robustly(A: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -26,7 +26,7 @@ from priors.offset import NONE, USUAL, Offset, fit_offset
 from priors.types import Camera, Depth, FloatMap, Frame, Sweep
 
 FX, BASELINE_M = 500.0, 0.5
-ZERO = (0.0, 0.0, 0.0)
+ZERO = (0.0, 0.0, 0.0, 0.0)
 IMAGES_ONLY = Stereo(offset_px=ZERO)
 Rows = npt.NDArray[np.floating]
 
@@ -210,9 +210,11 @@ def test_resolve_without_lidar_is_what_the_rig_usually_has() -> None:
     left, right, _ = scene()
     assert Stereo().resolve(frame(left, right)) == Stereo(offset_px=ZERO, scale=1.0)
     kitti = Stereo().resolve(frame(left, right, rig="kitti"))
-    assert Offset(kitti.offset_px or ZERO, kitti.scale or 0) == USUAL["kitti"]
+    assert (kitti.offset_px, kitti.scale) == (USUAL["kitti"].field_px, USUAL["kitti"].scale)
     given = Stereo(offset_px=(1, 2, 3)).resolve(frame(left, right, rig="kitti"))
-    assert (given.offset_px, given.scale) == ((1, 2, 3), 1.0)
+    assert (given.offset_px, given.scale) == ((1, 2, 3, 0), 1.0)
+    with pytest.raises(DataError, match="5 numbers, expected at most a b c e"):
+        Stereo(offset_px=(1, 2, 3, 4, 5))
 
 
 def test_scale_multiplies_the_disparity() -> None:
@@ -254,10 +256,10 @@ def road_and_walls() -> tuple[Camera, FloatMap, FloatMap]:
 def test_offset_has_a_curve_and_a_scale(usual: Offset) -> None:
     rng = np.random.default_rng(0)
     camera, matched_px, slope = road_and_walls()
-    true = Offset((0.5, -0.2, 2.0), 0.985)
+    true = Offset((0.5, -0.2, 2.0, -1.0), 0.985)
     true_px = true.correct(matched_px, camera) + rng.normal(0, 0.1, slope.shape).astype(np.float32)
     found = fit_offset(camera, true_px, matched_px, slope, usual)
-    assert found.curve_px == pytest.approx(true.curve_px, abs=0.05)
+    assert found.field_px == pytest.approx(true.field_px, abs=0.05)
     assert found.scale == pytest.approx(true.scale, abs=0.002)
     assert fit_offset(camera, np.zeros_like(matched_px), matched_px, slope, usual) == usual
 
@@ -267,7 +269,7 @@ def test_offset_is_not_the_lidars_tilt() -> None:
     camera, matched_px, slope = road_and_walls()
     true_px = matched_px + 0.5 + 1.2 * slope + rng.normal(0, 0.1, slope.shape).astype(np.float32)
     found = fit_offset(camera, true_px, matched_px, slope)
-    assert found.curve_px == pytest.approx((0.5, 0, 0), abs=0.05)
+    assert found.field_px == pytest.approx((0.5, 0, 0, 0), abs=0.05)
     assert found.scale == pytest.approx(1, abs=0.003)
 
 
@@ -276,7 +278,7 @@ def test_offset_in_the_mirror() -> None:
     camera, matched_px, _ = road_and_walls()
     K = camera.K.copy()
     K[0, 2] = 319 - K[0, 2]
-    offset = Offset((0.5, -0.2, 2.0), 0.985)
+    offset = Offset((0.5, -0.2, 2.0, -1.0), 0.985)
     mirrored = offset.mirrored().correct(matched_px[:, ::-1], Camera(K, camera.size))
     np.testing.assert_allclose(mirrored[:, ::-1], offset.correct(matched_px, camera), atol=1e-5)
 

@@ -33,10 +33,11 @@ class Stereo:
     """Your own weights for the network, .safetensors or .onnx; default: those that come with the package."""
     max_disparity_px: int | None = None
     """Largest disparity searched; default: what each pair's scene needs."""
-    offset_px: tuple[float, float, float] | None = None
-    """a b c: scale * disparity + a + b X + c X^2 is what the calibration promises, X = (column - cx) / fx.
-    Default: measured, with the scale, against the LiDAR sweep of the drive's first frame; where there is none, what
-    the rig's pairs usually have (KITTI), else 0 0 0. Give 0 0 0 for depth from the images alone."""
+    offset_px: tuple[float, ...] | None = None
+    """a b c e: scale * disparity + a + b X + c X^2 + e X Y is what the calibration promises, X = (column - cx) / fx and
+    Y = (row - cy) / fy; what is not given is 0. Default: measured, with the scale, against the LiDAR sweep of the
+    drive's first frame; where there is none, what the rig's pairs usually have (KITTI), else 0. Give 0 0 0 for depth
+    from the images alone."""
     scale: float | None = None
     """See offset-px. Default: measured with it; 1 where the offset is given."""
 
@@ -45,6 +46,8 @@ class Stereo:
             raise DataError(f"stereo: max disparity is {self.max_disparity_px}, expected 1 or more pixels")
         if self.model == "classical" and self.weights is not None:
             raise DataError(f"--stereo.weights {self.weights}: which network is it of? Name it by --stereo.model")
+        if self.offset_px is not None and len(self.offset_px) > len(NONE.field_px):
+            raise DataError(f"--stereo.offset-px: {len(self.offset_px)} numbers, expected at most a b c e")
         if self.scale is not None and (self.offset_px is None or not 0.5 < self.scale < 2):
             raise DataError(f"--stereo.scale {self.scale}: expected about 1, and --stereo.offset-px beside it")
 
@@ -63,7 +66,7 @@ class Stereo:
 
             resolved = replace(self, runtime=runtime.choose(self.runtime, self.weights))
         offset = self._offset() if self.offset_px is not None else calibrate(frame, self.max_disparity_px)
-        return replace(resolved, offset_px=offset.curve_px, scale=offset.scale)
+        return replace(resolved, offset_px=offset.field_px, scale=offset.scale)
 
     def weights_digest(self) -> str | None:
         """Return the hash of the network's weights, for the cache's key; None for the classical method."""
@@ -100,7 +103,8 @@ class Stereo:
         return doubt(Depth(depth_m, np.where(found, trust, np.float32(0))), unmirror(frame, sky))
 
     def _offset(self) -> Offset:
-        return Offset(self.offset_px or NONE.curve_px, NONE.scale if self.scale is None else self.scale)
+        a, b, c, e = (*(self.offset_px or ()), *NONE.field_px)[: len(NONE.field_px)]
+        return Offset((a, b, c, e), NONE.scale if self.scale is None else self.scale)
 
     def _match(self, image: Image, other: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
         """Return disparity and the error to expect of it, px; of a network, disparity and confidence."""

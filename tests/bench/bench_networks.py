@@ -82,7 +82,8 @@ def measured(frame: Frame) -> Offset:
     """Return the offset measured on a frame's sweep."""
     resolved = Stereo().resolve(frame)
     assert resolved.offset_px is not None and resolved.scale is not None
-    return Offset(resolved.offset_px, resolved.scale)
+    a, b, c, e = resolved.offset_px
+    return Offset((a, b, c, e), resolved.scale)
 
 
 def parse() -> argparse.Namespace:

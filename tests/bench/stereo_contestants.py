@@ -36,7 +36,7 @@ def contestants(
 ) -> list[Contestant]:
     """List them, all from the images alone; ours with the weights in a folder, the peers as they are."""
     found = [Contestant("SGBM full", sgbm, 0), Contestant("SGBM half", sgbm_half, 0)]
-    found.append(Contestant("classical", Stereo(offset_px=NONE.curve_px), 1))
+    found.append(Contestant("classical", Stereo(offset_px=NONE.field_px), 1))
     for family, model in enumerate(("cfnet", "pcwnet"), start=2):
         for size in ("s", "m", "l"):
             file = folder / f"{model}-{size}.safetensors"
@@ -51,14 +51,14 @@ def contestants(
 
 
 def _ours(model: Any, size: Any, runtime: Any, file: Path) -> Stereo:
-    return Stereo(model=model, size=size, runtime=runtime, weights=file, offset_px=NONE.curve_px)
+    return Stereo(model=model, size=size, runtime=runtime, weights=file, offset_px=NONE.field_px)
 
 
 def with_offset(contestant: Contestant, offset: Offset) -> Contestant | None:
     """Return a matcher with an offset; None for PSMNet, which has learned KITTI's."""
     run = contestant.run
     if isinstance(run, Stereo):
-        return replace(contestant, run=replace(run, offset_px=offset.curve_px, scale=offset.scale))
+        return replace(contestant, run=replace(run, offset_px=offset.field_px, scale=offset.scale))
     return None if contestant.once else replace(contestant, run=partial(run, offset=offset))
 
 
