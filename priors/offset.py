@@ -13,6 +13,8 @@ from priors.matching import match, to_grey
 from priors.sweep import untwist
 from priors.types import Camera, FloatMap, Image, Matrix, Sweep
 
+Points = npt.NDArray[np.float64]
+
 FEWEST = 500  # LiDAR points with a match: fewer say nothing about a curve
 LARGEST_PX = 4.0  # differences above are mismatches, not rectification
 SCALE_PX = 0.3  # differences well above count little
@@ -57,7 +59,7 @@ class Offset:
 
 
 NONE = Offset()
-USUAL = {"kitti": Offset((0.4, 0.0, 1.1, -1.2), 0.982)}
+USUAL = {"kitti": Offset((0.5, 0.0, 1.1, -0.5), 0.981)}
 """What the pairs of a known rig are off by where nothing can be measured; where from: docs/methods/stereo.md."""
 
 
@@ -76,35 +78,64 @@ def measure_offset(
     Where the sweep is registered some rows too high or low, the disparity of slanted surfaces seems off by the rows
     times its slope: that is fitted beside and left out. Returns the usual one where too few points meet a match.
     """
+    points = compare(image, other, camera, baseline_m, sweep, T_cam_lidar, max_disparity_px)
+    return fit_points(points, usual)
+
+
+def compare(
+    image: Image,
+    other: Image,
+    camera: Camera,
+    baseline_m: float,
+    sweep: Sweep,
+    T_cam_lidar: Matrix,
+    max_disparity_px: int | None = None,
+) -> Points:
+    """Gather where a left camera's match and a sweep differ, and how much; see `gather`."""
     uv_px, depth_m = project(camera, transform(T_cam_lidar, untwist(sweep)))
     lidar_px = convert_disparity(scatter_nearest(uv_px, depth_m, camera.size), camera.fx, baseline_m)
     matched_px = match(image, other, max_disparity_px)
     smooth_px, _ = diffuse(matched_px, to_grey(image))
     slope = np.asarray(cv2.Sobel(smooth_px, cv2.CV_32F, 0, 1, ksize=5, scale=1 / 128), dtype=np.float32)
-    return fit_offset(camera, lidar_px, matched_px, slope, usual)
+    return gather(camera, lidar_px, matched_px, slope)
 
 
 def fit_offset(
     camera: Camera, true_px: FloatMap, matched_px: FloatMap, slope: FloatMap, usual: Offset = NONE
 ) -> Offset:
-    """Fit the offset to two disparity maps (height, width), 0 = none, by reweighted least squares (Cauchy).
+    """Fit the offset to two disparity maps (height, width), 0 = none.
 
     slope: (height, width) px per row of the disparity, for the misregistration of the true one.
     """
+    return fit_points(gather(camera, true_px, matched_px, slope), usual)
+
+
+def gather(camera: Camera, true_px: FloatMap, matched_px: FloatMap, slope: FloatMap) -> Points:
+    """Return (n, 7) of the pixels that have both values: what a, b, c, e, scale and rows multiply, true - matched.
+
+    Arguments as `fit_offset` takes them.
+    """
     both = (true_px > 0) & (matched_px > 0) & (np.abs(true_px - matched_px) < LARGEST_PX)
-    if np.count_nonzero(both) < FEWEST:
+    row, column = np.nonzero(both)
+    X, Y = (column - camera.K[0, 2]) / camera.fx, (row - camera.K[1, 2]) / camera.K[1, 1]
+    slanted = np.clip(slope[both], -STEEPEST, STEEPEST)
+    missing_px = true_px[both] - matched_px[both]
+    return np.stack([np.ones_like(X), X, X * X, X * Y, matched_px[both], slanted, missing_px], axis=1).astype(
+        np.float64
+    )
+
+
+def fit_points(points: Points, usual: Offset = NONE) -> Offset:
+    """Fit the offset to what `gather` returns, by reweighted least squares (Cauchy); the usual one if they are few."""
+    if len(points) < FEWEST:
         return usual
-    rows, columns = np.nonzero(both)
-    X, Y = (columns - camera.K[0, 2]) / camera.fx, (rows - camera.K[1, 2]) / camera.K[1, 1]
-    matched = matched_px[both].astype(np.float64)
-    A = np.stack([np.ones_like(X), X, X * X, X * Y, matched, np.clip(slope[both], -STEEPEST, STEEPEST)], axis=1)
-    left_px = true_px[both] - usual.correct(matched_px, camera)[both]
-    solution = _solve_robustly(A, left_px.astype(np.float64))
-    a, b, c, e = (round(known + float(more), 3) for known, more in zip(usual.field_px, solution[:4], strict=True))
-    return Offset((a, b, c, e), round(usual.scale + float(solution[4]), 4))
+    known = np.array([*usual.field_px, usual.scale - 1, 0])
+    A, missing_px = points[:, :-1], points[:, -1]
+    a, b, c, e, stretch, _ = (known + _solve_robustly(A, missing_px - A @ known)).tolist()
+    return Offset((round(a, 3), round(b, 3), round(c, 3), round(e, 3)), round(1 + stretch, 4))
 
 
-def _solve_robustly(A: npt.NDArray[np.float64], y: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _solve_robustly(A: Points, y: Points) -> Points:
     prior = np.diag((NOISE_PX / np.array(PRIOR)) ** 2)
     solution = np.array([np.median(y), *[0.0] * (A.shape[1] - 1)])
     for _ in range(ROUNDS):
