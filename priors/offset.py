@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from priors.diffusion import diffuse
 from priors.geometry import convert_disparity, project, scatter_nearest, transform
-from priors.matching import match, to_grey
+from priors.matching import to_grey
 from priors.sweep import untwist
 from priors.types import Camera, FloatMap, Image, Matrix, Sweep
 
@@ -63,38 +63,12 @@ USUAL = {"kitti": Offset((0.5, 0.0, 1.1, -0.5), 0.981)}
 """What the pairs of a known rig are off by where nothing can be measured; where from: docs/methods/stereo.md."""
 
 
-def measure_offset(
-    image: Image,
-    other: Image,
-    camera: Camera,
-    baseline_m: float,
-    sweep: Sweep,
-    T_cam_lidar: Matrix,
-    max_disparity_px: int | None = None,
-    usual: Offset = NONE,
-) -> Offset:
-    """Measure the offset of a left camera's pair against a sweep.
-
-    Where the sweep is registered some rows too high or low, the disparity of slanted surfaces seems off by the rows
-    times its slope: that is fitted beside and left out. Returns the usual one where too few points meet a match.
-    """
-    points = compare(image, other, camera, baseline_m, sweep, T_cam_lidar, max_disparity_px)
-    return fit_points(points, usual)
-
-
 def compare(
-    image: Image,
-    other: Image,
-    camera: Camera,
-    baseline_m: float,
-    sweep: Sweep,
-    T_cam_lidar: Matrix,
-    max_disparity_px: int | None = None,
+    matched_px: FloatMap, image: Image, camera: Camera, baseline_m: float, sweep: Sweep, T_cam_lidar: Matrix
 ) -> Points:
-    """Gather where a left camera's match and a sweep differ, and how much; see `gather`."""
+    """Gather where a left camera's match (height, width), px, 0 = none, and a sweep differ; see `gather`."""
     uv_px, depth_m = project(camera, transform(T_cam_lidar, untwist(sweep)))
     lidar_px = convert_disparity(scatter_nearest(uv_px, depth_m, camera.size), camera.fx, baseline_m)
-    matched_px = match(image, other, max_disparity_px)
     smooth_px, _ = diffuse(matched_px, to_grey(image))
     slope = np.asarray(cv2.Sobel(smooth_px, cv2.CV_32F, 0, 1, ksize=5, scale=1 / 128), dtype=np.float32)
     return gather(camera, lidar_px, matched_px, slope)
@@ -113,16 +87,15 @@ def fit_offset(
 def gather(camera: Camera, true_px: FloatMap, matched_px: FloatMap, slope: FloatMap) -> Points:
     """Return (n, 7) of the pixels that have both values: what a, b, c, e, scale and rows multiply, true - matched.
 
-    Arguments as `fit_offset` takes them.
+    Where the true map is registered some rows too high or low, the disparity of slanted surfaces seems off by the rows
+    times its slope: that is fitted beside and left out. Arguments as `fit_offset` takes them.
     """
     both = (true_px > 0) & (matched_px > 0) & (np.abs(true_px - matched_px) < LARGEST_PX)
     row, column = np.nonzero(both)
     X, Y = (column - camera.K[0, 2]) / camera.fx, (row - camera.K[1, 2]) / camera.K[1, 1]
     slanted = np.clip(slope[both], -STEEPEST, STEEPEST)
     missing_px = true_px[both] - matched_px[both]
-    return np.stack([np.ones_like(X), X, X * X, X * Y, matched_px[both], slanted, missing_px], axis=1).astype(
-        np.float64
-    )
+    return np.stack([np.ones_like(X), X, X * X, X * Y, matched_px[both], slanted, missing_px], axis=1)
 
 
 def fit_points(points: Points, usual: Offset = NONE) -> Offset:

@@ -1,5 +1,6 @@
 """A frame's stereo pair: read with this camera as the left one, checked, and how far its disparities are off."""
 
+from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
@@ -7,8 +8,8 @@ import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.matching import largest_disparity, quarter_match
-from priors.offset import NONE, USUAL, Offset, measure_offset
-from priors.types import Camera, Frame, Image, Matrix
+from priors.offset import NONE, USUAL, Offset, compare, fit_points
+from priors.types import Camera, FloatMap, Frame, Image, Matrix
 
 Kind = TypeVar("Kind", bound=np.generic)
 FEW, MANY = 0.45, 0.55
@@ -61,8 +62,11 @@ def find_range(frame: Frame, image: Image, other: Image) -> int:
     return largest_disparity(small_px, image.shape[1])
 
 
-def calibrate(frame: Frame, max_disparity_px: int | None) -> Offset:
-    """Measure the pair's offset against the frame's own sweep; without one it is what the rig's pairs usually have."""
+def calibrate(frame: Frame, match: Callable[[Image, Image], FloatMap]) -> Offset:
+    """Measure the pair's offset against the frame's own sweep; without one it is what the rig's pairs usually have.
+
+    match: makes the disparity (height, width), px, 0 = none, that is to be corrected; of `read_pair`'s images.
+    """
     usual = USUAL.get(frame.rig or "", NONE)
     if frame.T_cam_lidar is None or frame.baseline_m is None or not (frame.has("sweep") and frame.has("other")):
         return usual
@@ -73,7 +77,8 @@ def calibrate(frame: Frame, max_disparity_px: int | None) -> Offset:
     camera, T_cam_lidar = frame.camera, frame.T_cam_lidar
     if frame.side == "right":
         camera, T_cam_lidar, usual = *mirror(camera, T_cam_lidar), usual.mirrored()
-    found = measure_offset(image, other, camera, frame.baseline_m, sweep, T_cam_lidar, max_disparity_px, usual)
+    points = compare(match(image, other), image, camera, frame.baseline_m, sweep, T_cam_lidar)
+    found = fit_points(points, usual)
     return found if frame.side == "left" else found.mirrored()
 
 

@@ -8,11 +8,15 @@ import numpy as np
 
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
+from priors.matching import largest_disparity, match, quarter_match
 from priors.methods import _stereo_classical as classical
 from priors.methods._stereo_pair import baseline, calibrate, find_range, read_pair, unmirror
 from priors.offset import NONE, Offset
 from priors.sky import doubt, rows_below, sky_mask
 from priors.types import Depth, FloatMap, Frame, Image
+
+SURE = 0.9
+"""Confidence of a network's pixels that the offset is measured on."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +69,7 @@ class Stereo:
             from priors.nets import runtime
 
             resolved = replace(self, runtime=runtime.choose(self.runtime, self.weights))
-        offset = self._offset() if self.offset_px is not None else calibrate(frame, self.max_disparity_px)
+        offset = self._offset() if self.offset_px is not None else calibrate(frame, resolved._sure)
         return replace(resolved, offset_px=offset.field_px, scale=offset.scale)
 
     def weights_digest(self) -> str | None:
@@ -105,6 +109,14 @@ class Stereo:
     def _offset(self) -> Offset:
         a, b, c, e = (*(self.offset_px or ()), *NONE.field_px)[: len(NONE.field_px)]
         return Offset((a, b, c, e), NONE.scale if self.scale is None else self.scale)
+
+    def _sure(self, image: Image, other: Image) -> FloatMap:
+        """Return the disparity, px, where it is most likely right, 0 elsewhere: what the offset is measured on."""
+        if self.model == "classical":
+            return match(image, other, self.max_disparity_px)
+        most_px = self.max_disparity_px or largest_disparity(quarter_match(image, other), image.shape[1])
+        disparity_px, confidence = self._match(image, other, most_px)
+        return np.where(confidence > SURE, disparity_px, np.float32(0))
 
     def _match(self, image: Image, other: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
         """Return disparity and the error to expect of it, px; of a network, disparity and confidence."""

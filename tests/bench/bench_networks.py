@@ -23,15 +23,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it
 
 import numpy as np
 from scatter import Dot, scatter
-from stereo_contestants import Contestant, contestants, with_offset
+from stereo_contestants import Contestant, contestants, moved
 
 from eval.protocol import preset
 from eval.result import score
 from priors import codecs
 from priors.drives import DriveOptions, open_drive
-from priors.methods.stereo import Stereo
 from priors.nets.weights import FOLDER
-from priors.offset import USUAL, Offset
 from priors.types import Frame
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -54,8 +52,6 @@ def main() -> None:
         return
     peaks = {c.name: peak_gib(c.name) for c in everyone}
     seconds = measure(everyone, frames, options.rounds)
-    offsets = {"usual": USUAL["kitti"], "measured": measured(frames[0])}
-    print(f"offsets, a b c px and scale: {offsets}\n")
     print("| method | ms | of SGBM | peak GiB | density | AbsRel | SqRel m | RMSE m | EPE px | D1 % |")
     print("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     dots = []
@@ -65,25 +61,16 @@ def main() -> None:
         cells = [f"{1e3 * np.median(seconds[name]):.0f}", f"{ratio:.2f}", f"{peaks[name]:.2f}"]
         figures = errors(contestant, frames)
         print(row(name, cells, figures), flush=True)
-        for kind, offset in offsets.items():
-            if (moved := with_offset(contestant, offset)) is not None:
-                shifted = errors(moved, frames)
-                figures = shifted if kind == "usual" else figures
-                print(row(f"{name}, {kind} offset", ["", "", ""], shifted), flush=True)
+        for kind, other in moved(contestant, frames[0]).items():
+            shifted = errors(other, frames)
+            figures = shifted if kind == "usual" else figures
+            print(row(f"{name}, {kind} offset", ["", "", ""], shifted), flush=True)
         error = figures.get(options.error, np.nan)
         dots.append(Dot(name, 1e3 * float(np.median(seconds[name])), error, contestant.family))
     if all(np.isfinite(dot.error) for dot in dots):
         title = f"{drive.name}, {len(frames)} pairs, KITTI's usual offset"
         codecs.write_image(options.plot, scatter(dots, options.error_name, title))
         print(f"\nwrote {options.plot}")
-
-
-def measured(frame: Frame) -> Offset:
-    """Return the offset measured on a frame's sweep."""
-    resolved = Stereo().resolve(frame)
-    assert resolved.offset_px is not None and resolved.scale is not None
-    a, b, c, e = resolved.offset_px
-    return Offset((a, b, c, e), resolved.scale)
 
 
 def parse() -> argparse.Namespace:

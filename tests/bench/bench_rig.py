@@ -76,7 +76,7 @@ def by_sweep(frame: Frame) -> Points:
     image, other = read_pair(frame)
     sweep = frame.sweep()
     assert frame.T_cam_lidar is not None and frame.baseline_m is not None and sweep is not None
-    return compare(image, other, frame.camera, frame.baseline_m, sweep, frame.T_cam_lidar)
+    return compare(match(image, other), image, frame.camera, frame.baseline_m, sweep, frame.T_cam_lidar)
 
 
 def by_teacher(frame: Frame, teacher_px: FloatMap) -> Points:

@@ -13,7 +13,7 @@ import numpy as np
 from priors.geometry import convert_disparity
 from priors.matching import halve, to_grey
 from priors.methods.stereo import Stereo
-from priors.offset import NONE, Offset
+from priors.offset import NONE, USUAL, Offset
 from priors.types import Depth, Frame
 
 MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -54,12 +54,25 @@ def _ours(model: Any, size: Any, runtime: Any, file: Path) -> Stereo:
     return Stereo(model=model, size=size, runtime=runtime, weights=file, offset_px=NONE.field_px)
 
 
-def with_offset(contestant: Contestant, offset: Offset) -> Contestant | None:
-    """Return a matcher with an offset; None for PSMNet, which has learned KITTI's."""
-    run = contestant.run
+def moved(contestant: Contestant, frame: Frame) -> dict[str, Contestant]:
+    """Return a matcher with KITTI's usual offset and with the one measured on a frame; PSMNet has learned KITTI's."""
+    run, usual = contestant.run, USUAL["kitti"]
+    if contestant.once:
+        return {}
     if isinstance(run, Stereo):
-        return replace(contestant, run=replace(run, offset_px=offset.field_px, scale=offset.scale))
-    return None if contestant.once else replace(contestant, run=partial(run, offset=offset))
+        runs: dict[str, Any] = {
+            "usual": replace(run, offset_px=usual.field_px, scale=usual.scale),
+            "measured": replace(run, offset_px=None, scale=None).resolve(frame),
+        }
+    else:
+        measured = Stereo().resolve(frame)
+        assert measured.offset_px is not None and measured.scale is not None
+        a, b, c, e = measured.offset_px
+        runs = {
+            "usual": partial(run, offset=usual),
+            "measured": partial(run, offset=Offset((a, b, c, e), measured.scale)),
+        }
+    return {kind: replace(contestant, run=run) for kind, run in runs.items()}
 
 
 def sgbm(frame: Frame, offset: Offset = NONE) -> Depth:
