@@ -59,8 +59,18 @@ class Offset:
 
 
 NONE = Offset()
-USUAL = {"kitti": Offset((0.5, 0.0, 1.1, -0.5), 0.981)}
-"""What the pairs of a known rig are off by where nothing can be measured; where from: docs/methods/stereo.md."""
+USUAL = {"kitti": (Offset((0.5, 0.0, 1.1, -0.5), 0.981), 718.0)}
+"""What the pairs of a known rig are off by where nothing can be measured, at a focal length in px; where from:
+docs/methods/stereo.md."""
+
+
+def usual_offset(rig: str | None, camera: Camera) -> Offset:
+    """Return what a rig's pairs are usually off by in a camera's pixels; nothing where the rig is not known."""
+    if rig not in USUAL:
+        return NONE
+    offset, fx = USUAL[rig]
+    a, b, c, e = (value * camera.fx / fx for value in offset.field_px)
+    return replace(offset, field_px=(a, b, c, e))
 
 
 def compare(

@@ -124,10 +124,17 @@ def test_swapped_projections_are_refused(odometry_root: Path) -> None:
         open_drive(odometry_root)
 
 
+def test_another_rig_in_kittis_layout_is_not_kittis(odometry_root: Path) -> None:
+    """What KITTI's own pairs are off by says nothing of other cars' pairs."""
+    (odometry_root / "sequences" / "06").rename(odometry_root / "sequences" / "60")
+    assert open_drive(odometry_root)[0].rig is None
+
+
 def test_real_grey_download(real_data: RealData) -> None:
     root = real_data("kitti_odometry")
     drive = open_drive(root, options=DriveOptions(drive="06"))
     frame = drive[1]
+    assert drive[0].rig == "kitti"
     assert len(drive) == 51 and frame.camera.size == (370, 1226)
     assert frame.baseline_m == pytest.approx(379.8145 / 707.0912)
     np.testing.assert_allclose(frame.T_world_cam[:3, 3], [-1.401751e-02, -2.820321e-02, 1.198998], rtol=1e-6)

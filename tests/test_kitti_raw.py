@@ -24,6 +24,13 @@ def test_opens_drive_date_and_root(raw_drive: Path, levels: int) -> None:
     assert open_drive(path).name == "2011_09_26_drive_0009_sync"
 
 
+def test_another_rig_in_kittis_layout_is_not_kittis(raw_drive: Path) -> None:
+    """What KITTI's own pairs are off by says nothing of other cars' pairs."""
+    assert open_drive(raw_drive)[0].rig == "kitti"
+    own = raw_drive.rename(raw_drive.parent / "mine_0001_sync")
+    assert open_drive(own)[0].rig is None
+
+
 def test_several_drives_need_a_name(raw_drive: Path) -> None:
     write_raw(raw_drive.parents[1], name="2011_09_26_drive_0011_sync")
     with pytest.raises(DataError, match=r"holds 2 drives: choose with --drive 2011_09_26_drive_0009_sync"):

@@ -22,7 +22,7 @@ from priors.kernels.diffusion import diffuse_columns, link_columns
 from priors.kernels.occlusion import fill_occlusions
 from priors.matching import find_max_disparity, halve, match, quick_match, unlock
 from priors.methods.stereo import Stereo
-from priors.offset import NONE, USUAL, Offset, fit_offset
+from priors.offset import NONE, Offset, fit_offset, usual_offset
 from priors.types import Camera, Depth, FloatMap, Frame, Sweep
 
 FX, BASELINE_M = 500.0, 0.5
@@ -209,8 +209,9 @@ def test_bad_input_is_named() -> None:
 def test_resolve_without_lidar_is_what_the_rig_usually_has() -> None:
     left, right, _ = scene()
     assert Stereo().resolve(frame(left, right)) == Stereo(offset_px=ZERO, scale=1.0)
-    kitti = Stereo().resolve(frame(left, right, rig="kitti"))
-    assert (kitti.offset_px, kitti.scale) == (USUAL["kitti"].field_px, USUAL["kitti"].scale)
+    made = frame(left, right, rig="kitti")
+    kitti, usual = Stereo().resolve(made), usual_offset("kitti", made.camera)
+    assert (kitti.offset_px, kitti.scale) == (usual.field_px, usual.scale) != (ZERO, 1.0)
     given = Stereo(offset_px=(1, 2, 3)).resolve(frame(left, right, rig="kitti"))
     assert (given.offset_px, given.scale) == ((1, 2, 3, 0), 1.0)
     with pytest.raises(DataError, match="5 numbers, expected at most a b c e"):
@@ -252,10 +253,19 @@ def road_and_walls() -> tuple[Camera, FloatMap, FloatMap]:
     return camera, matched_px, slope
 
 
-@pytest.mark.parametrize("usual", [NONE, USUAL["kitti"]], ids=["none", "kitti"])
-def test_offset_has_a_curve_and_a_scale(usual: Offset) -> None:
+def test_the_usual_offset_is_of_the_images_size() -> None:
+    """An image of a third of the size has a third of the offset, at the same place of the scene."""
+    whole, third = (Camera(np.diag([size, size, 1.0]), (4, 4)) for size in (720.0, 240.0))
+    assert usual_offset("kitti", third).field_px == pytest.approx(np.array(usual_offset("kitti", whole).field_px) / 3)
+    assert usual_offset("kitti", third).scale == usual_offset("kitti", whole).scale != 1
+    assert usual_offset(None, whole) == usual_offset("another", whole) == NONE
+
+
+@pytest.mark.parametrize("rig", [None, "kitti"])
+def test_offset_has_a_curve_and_a_scale(rig: str | None) -> None:
     rng = np.random.default_rng(0)
     camera, matched_px, slope = road_and_walls()
+    usual = usual_offset(rig, camera)
     true = Offset((0.5, -0.2, 2.0, -1.0), 0.985)
     true_px = true.correct(matched_px, camera) + rng.normal(0, 0.1, slope.shape).astype(np.float32)
     found = fit_offset(camera, true_px, matched_px, slope, usual)

@@ -44,6 +44,8 @@ from priors.geometry import invert
 from priors.types import Camera, Depth, Frame, Matrix, Sweep
 
 PARTNER = {"image_0": "image_1", "image_1": "image_0", "image_2": "image_3", "image_3": "image_2"}
+SEQUENCES = tuple(f"{number:02}" for number in range(22))
+BASELINES_M = (0.53, 0.5395)
 # Sequence -> raw drive and the raw frame that became frame 0 (the devkit's readme).
 RAW_DRIVE = {
     "00": ("2011_10_03_drive_0027_sync", 0),
@@ -150,7 +152,7 @@ class KittiOdometry:
             T_cam_lidar=None if self._T_cam0_velo is None else self._T_cam_cam0 @ self._T_cam0_velo,
             time_s=self._times.get(id_),
             baseline_m=self.baseline_m,
-            rig="kitti",
+            rig="kitti" if self._is_kittis() else None,
             side=self.side,
         )
 
@@ -196,6 +198,11 @@ class KittiOdometry:
         offset_m = float(self._T_cam_cam0[0, 3] - T_other_cam0[0, 3])
         what = f"from {self.camera_name} to {PARTNER[self.camera_name]}"
         return check_baseline(offset_m if self.side == "left" else -offset_m, what, self.folder / "calib.txt")
+
+    def _is_kittis(self) -> bool:
+        """Tell whether this is a sequence of KITTI's own, by its number and its baseline: others use its layout."""
+        least, most = BASELINES_M
+        return self.folder.name in SEQUENCES and least < (self.baseline_m or 0) < most
 
     @cached_property
     def _T_cam0_velo(self) -> Matrix | None:

@@ -71,6 +71,10 @@ def _drive_folders(path: Path) -> list[Path]:
     return search(path, lambda folder: any((folder / name / "data").is_dir() for name in PARTNER), 2)
 
 
+DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
+"""Of KITTI's own recordings; others use its layout."""
+
+
 @dataclass(frozen=True)
 class Calibration:
     """What a date's three files say about one camera of the rig."""
@@ -152,7 +156,7 @@ class KittiRaw:
             T_cam_lidar=self._T_cam_velo,
             time_s=self._times.get(int(id_)),
             baseline_m=self.baseline_m,
-            rig="kitti",
+            rig="kitti" if self.folder.name.startswith(DATES) else None,
             side=self.side,
         )
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.matching import largest_disparity, quarter_match
-from priors.offset import NONE, USUAL, Offset, compare, fit_points
+from priors.offset import Offset, compare, fit_points, usual_offset
 from priors.types import Camera, FloatMap, Frame, Image, Matrix
 
 Kind = TypeVar("Kind", bound=np.generic)
@@ -67,7 +67,7 @@ def calibrate(frame: Frame, match: Callable[[Image, Image], FloatMap]) -> Offset
 
     match: makes the disparity (height, width), px, 0 = none, that is to be corrected; of `read_pair`'s images.
     """
-    usual = USUAL.get(frame.rig or "", NONE)
+    usual = usual_offset(frame.rig, frame.camera)
     if frame.T_cam_lidar is None or frame.baseline_m is None or not (frame.has("sweep") and frame.has("other")):
         return usual
     sweep = frame.sweep()

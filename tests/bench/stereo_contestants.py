@@ -13,7 +13,7 @@ import numpy as np
 from priors.geometry import convert_disparity
 from priors.matching import halve, to_grey
 from priors.methods.stereo import Stereo
-from priors.offset import NONE, USUAL, Offset
+from priors.offset import NONE, Offset, usual_offset
 from priors.types import Depth, Frame
 
 MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -56,7 +56,7 @@ def _ours(model: Any, size: Any, runtime: Any, file: Path) -> Stereo:
 
 def moved(contestant: Contestant, frame: Frame) -> dict[str, Contestant]:
     """Return a matcher with KITTI's usual offset and with the one measured on a frame; PSMNet has learned KITTI's."""
-    run, usual = contestant.run, USUAL["kitti"]
+    run, usual = contestant.run, usual_offset("kitti", frame.camera)
     if contestant.once:
         return {}
     if isinstance(run, Stereo):
