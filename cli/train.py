@@ -136,7 +136,7 @@ def stereo_task(args: StereoArguments) -> "Task":
 
     net = runtime.create(args.net, args.size)
     folders = args.street, args.real, args.cache, args.teacher
-    schedule = stereo.SCHEDULE if args.start is None else (0, 0)  # what has learned already learns on as a whole
+    schedule = (0, 0) if started_from(args) else stereo.SCHEDULE  # what has learned already learns on as a whole
     return stereo.StereoTask(net, data.mixture(*folders), data.validation(*folders, count=10), args.batch, schedule)
 
 
@@ -151,8 +151,15 @@ def mono_task(args: RunArguments) -> "Task":
     """Make what the single-image network learns."""
     from priors.learn.mono import MonoConfig, MonoTask
 
-    cache, imagenet = args.out / "cache", args.start is None
+    cache, imagenet = args.out / "cache", not started_from(args)
     return MonoTask(MonoConfig(args.street, args.real, cache, batch=args.batch, size=args.size, imagenet=imagenet))
+
+
+def started_from(args: RunArguments) -> str | None:
+    """Return the name of the weights that a run starts from, or that it started from where it goes on; None: none."""
+    from priors.learn.loop import about_run
+
+    return about_run(args.out).get("start") if args.start is None else args.start.name
 
 
 def train_network(args: RunArguments, task: "Task", net: str) -> None:
@@ -162,8 +169,9 @@ def train_network(args: RunArguments, task: "Task", net: str) -> None:
 
     if args.start is not None:
         err.print(f"{weights.take(task.net, args.start)} tensors taken from {args.start}")
+    about = {"net": net, "size": args.size, "start": started_from(args)}
     with train_progress(args.out.name) as on_step:
-        last = train(task, args.out, args.how, {"net": net, "size": args.size}, pick_device(args.device), on_step)
+        last = train(task, args.out, args.how, about, pick_device(args.device), on_step)
     for name, value in last.items():
         out.print(f"{name:<28}{value:.4f}")
     out.print(f"wrote {args.out}; next: priors train pack {args.out} {net}-{args.size}.safetensors")

@@ -10,6 +10,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from cli.train import StereoArguments, started_from
 from priors.errors import DataError
 from priors.learn.loop import Batch, TrainConfig, train
 from priors.types import Image
@@ -119,3 +120,12 @@ def test_a_step_that_is_not_finite_is_left_out(tmp_path: Path) -> None:
 
     train(Broken(), tmp_path, CONFIG)
     assert all(value.isfinite().all() for value in weights(tmp_path).values())
+
+
+def test_a_run_remembers_what_it_started_from(tmp_path: Path) -> None:
+    """Going on without --start must not make the first stage learn alone again."""
+    out = tmp_path / "run"
+    assert started_from(StereoArguments(out)) is None
+    assert started_from(StereoArguments(out, start=Path("weights/cfnet-s.safetensors"))) == "cfnet-s.safetensors"
+    train(Line(), out, TrainConfig(steps=2), {"net": "line", "size": "s", "start": "cfnet-s.safetensors"})
+    assert started_from(StereoArguments(out)) == "cfnet-s.safetensors"

@@ -76,7 +76,7 @@ def train(
     task: Task,
     out: Path,
     config: TrainConfig,
-    about: dict[str, str] | None = None,
+    about: dict[str, str | None] | None = None,
     device: str = "cpu",
     on_step: Callable[[Progress], None] = lambda progress: None,
 ) -> dict[str, float]:
@@ -86,7 +86,7 @@ def train(
         task: what is learned.
         out: the run's folder.
         config: how.
-        about: what last.json says of the network: its name and size.
+        about: what last.json says of the network: its name and size, and the weights that it started from.
         device: where.
         on_step: called every 20 steps.
 
@@ -118,6 +118,15 @@ def train(
     return run.last
 
 
+def about_run(out: Path) -> dict[str, str | None]:
+    """Return what a run's last.json says of its network; nothing where there is no run yet."""
+    try:
+        found: dict[str, str | None] = json.loads((out / "last.json").read_text())["about"]
+    except (OSError, ValueError, KeyError):
+        return {}
+    return found
+
+
 class _Run:
     """The state of a training run: what the checkpoint holds."""
 
@@ -134,7 +143,7 @@ class _Run:
         self.optimiser = torch.optim.AdamW(groups, lr=config.lr, betas=(0.9, 0.98), fused=True)
         self.step, self.spent_s, self.best = 0, 0.0, math.inf
         self.last: dict[str, float] = {}
-        self.about: dict[str, str] = {}
+        self.about: dict[str, str | None] = {}
         self.started = self.saved = time.monotonic()
 
     def seconds(self) -> float:
