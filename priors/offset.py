@@ -69,7 +69,7 @@ def usual_offset(rig: str | None, camera: Camera) -> Offset:
     if rig not in USUAL:
         return NONE
     offset, fx = USUAL[rig]
-    a, b, c, e = (value * camera.fx / fx for value in offset.field_px)
+    a, b, c, e = (round(value * camera.fx / fx, 3) for value in offset.field_px)
     return replace(offset, field_px=(a, b, c, e))
 
 

@@ -218,6 +218,15 @@ def test_resolve_without_lidar_is_what_the_rig_usually_has() -> None:
         Stereo(offset_px=(1, 2, 3, 4, 5))
 
 
+def test_a_correction_is_told(raw_drive: Path, tmp_path: Path) -> None:
+    drive, notes = open_drive(raw_drive), list[str]()
+    corrected = Stereo(offset_px=(0.5, 0, 1.1), scale=0.981)
+    assert corrected.prepare(drive, tmp_path, notes.append) is corrected
+    assert IMAGES_ONLY.prepare(drive, tmp_path, notes.append) is IMAGES_ONLY
+    (note,) = notes
+    assert "0.981 d +0.50 +0.00 X +1.10 X²" in note and "\n" not in note
+
+
 def test_scale_multiplies_the_disparity() -> None:
     left, right = pair(20.0)
     plain, scaled = (Stereo(offset_px=ZERO, scale=scale)(frame(left, right)) for scale in (1.0, 0.98))

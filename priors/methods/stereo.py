@@ -1,5 +1,6 @@
 """Depth from a stereo pair: classical semi-global matching, or a network; with a confidence that is a probability."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, Self
@@ -13,7 +14,7 @@ from priors.methods import _stereo_classical as classical
 from priors.methods._stereo_pair import baseline, calibrate, find_range, read_pair, unmirror
 from priors.offset import NONE, Offset
 from priors.sky import doubt, rows_below, sky_mask
-from priors.types import Depth, FloatMap, Frame, Image
+from priors.types import Depth, Drive, FloatMap, Frame, Image
 
 SURE = 0.9
 """Confidence of a network's pixels that the offset is measured on."""
@@ -79,6 +80,17 @@ class Stereo:
         from priors.nets import weights
 
         return weights.digest(weights.find(self.model, self.size, self.weights))
+
+    def prepare(self, drive: Drive, folder: Path, on_note: Callable[[str], None]) -> Self:
+        """Tell what the disparity is corrected by, if it is; see build.build."""
+        offset = self._offset()
+        if offset != NONE:
+            a, b, c, e = (f"{value:+.2f}" for value in offset.field_px)
+            on_note(
+                f"the disparity d is made {offset.scale:.3f} d {a} {b} X {c} X² {e} XY px, for the calibration is off: "
+                "docs/methods/stereo.md; --stereo.offset-px 0 0 0: as matched"
+            )
+        return self
 
     def __call__(self, frame: Frame) -> Depth:
         """Make the depth map (height, width), metres along the camera's z axis; the sky's confidence is 0.
