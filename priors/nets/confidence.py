@@ -6,6 +6,7 @@ kept in the header of its weights: a score, which is a weighted sum of the two a
 table from score to probability.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from typing import Any, Self
@@ -60,13 +61,15 @@ class Calibration:
 
     def __call__(self, disparity_px: FloatMap, sigma_px: FloatMap, doubt: FloatMap) -> FloatMap:
         """Return the probability (height, width) in [0, 1] that a left view's disparity is within 1 px."""
-        return self.probability(self.score(evidence(disparity_px, sigma_px, doubt)))
+        return self.probability(self.score(_terms(disparity_px, sigma_px, doubt)))
 
-    def score(self, terms: FloatMap) -> FloatMap:
-        """Return the score (...): higher is worse; terms is (5, ...)."""
-        total = np.float32(self.weights[0]) * terms[0]
-        for weight, term in zip(self.weights[1:], terms[1:], strict=True):  # a matrix product wakes threads
-            total += np.float32(weight) * term
+    def score(self, terms: Iterable[FloatMap]) -> FloatMap:
+        """Return the score (...): higher is worse; terms are five of (...)."""
+        total: FloatMap | None = None
+        for weight, term in zip(self.weights, terms, strict=True):  # a matrix product wakes threads
+            part = np.multiply(term, np.float32(weight), dtype=np.float32)
+            total = part if total is None else np.add(total, part, out=total)
+        assert total is not None
         return total
 
     def probability(self, score: FloatMap) -> FloatMap:
@@ -87,16 +90,18 @@ def evidence(disparity_px: FloatMap, sigma_px: FloatMap, doubt: FloatMap) -> Flo
     logarithm of the disparity, px; slope: horizontal step of the disparity, px per px, at most 3; hidden: 1 where the
     right view does not reach, or something nearer stands before it there.
     """
+    return np.stack([np.asarray(term, np.float32) for term in _terms(disparity_px, sigma_px, doubt)])
+
+
+def _terms(disparity_px: FloatMap, sigma_px: FloatMap, doubt: FloatMap) -> Iterator[FloatMap]:
+    """Make the terms one after the other: together they do not fit into a cache."""
     least = np.float32(SMALLEST_PX)
-    slope = np.abs(cv2.Sobel(disparity_px, cv2.CV_32F, 1, 0, scale=1 / 8))
-    terms = (
-        doubt,
-        np.log(np.maximum(sigma_px, least)),
-        -np.log(np.maximum(disparity_px, least)),
-        np.minimum(slope, np.float32(STEEP)),
-        is_hidden(disparity_px),
-    )
-    return np.stack([np.asarray(term, np.float32) for term in terms])
+    yield doubt
+    yield np.log(np.maximum(sigma_px, least))
+    yield -np.log(np.maximum(disparity_px, least))
+    slope = np.asarray(cv2.Sobel(disparity_px, cv2.CV_32F, 1, 0, scale=1 / 8), np.float32)
+    yield np.minimum(np.abs(slope, out=slope), np.float32(STEEP), out=slope)
+    yield is_hidden(disparity_px).astype(np.float32)
 
 
 def is_hidden(disparity_px: FloatMap) -> npt.NDArray[np.bool_]:
