@@ -129,3 +129,14 @@ def test_one_damaged_image_does_not_close_the_folder(image_folder: Path) -> None
     assert drive[1].image().shape == (*SIZE, 3)
     with pytest.raises(DataError, match=r"left/a\.png: damaged image"):
         drive[0].image()
+
+
+def test_the_rig_is_named_or_refused(tmp_path: Path) -> None:
+    write_folder(tmp_path)
+    calibration = json.loads((tmp_path / "calib.json").read_text())
+    assert open_drive(tmp_path)[0].rig is None
+    (tmp_path / "calib.json").write_text(json.dumps({**calibration, "rig": "kitti"}))
+    assert open_drive(tmp_path)[0].rig == "kitti"
+    (tmp_path / "calib.json").write_text(json.dumps({**calibration, "rig": "kiti"}))
+    with pytest.raises(DataError, match=r"calib.json: rig 'kiti' is not known: leave it out, or choose one of kitti"):
+        _ = open_drive(tmp_path)[0]

@@ -4,7 +4,8 @@
 
 calib.json: {"fx": 721.5, "fy": 721.5, "cx": 609.6, "cy": 172.9, "baseline_m": 0.54}, in pixels and metres; both cameras
 share it; "baseline_m" is needed where there is right/; "width" and "height" are checked where they are given.
-The pair must be rectified and undistorted.
+The pair must be rectified and undistorted. "rig": "kitti" says that KITTI's car took it: stereo then corrects what its
+pairs are usually off by (priors/offset.py).
 
 - Files are joined by their stem, the frame id.
 - depth/ is truth, sparse/ is completion's input: uint16 PNG (metres x 256), .npy, .npz or .pfm in metres, 0 = none.
@@ -112,6 +113,7 @@ class Folder:
             missing=missing,
             T_world_cam=self._pose(id_),
             baseline_m=self.baseline_m,
+            rig=self._rig,
             side="left" if self.camera_name == "left" else "right",
         )
 
@@ -132,6 +134,17 @@ class Folder:
             found = f"the centre ({cx:g}, {cy:g}) lies outside the {size[1]}x{size[0]} images"
             raise DataError(f"{path}: {found}: was one of them resized?")
         return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), size), baseline_m
+
+    @cached_property
+    def _rig(self) -> str | None:
+        """Return the calibration's rig; raises DataError where it is not a known one."""
+        from priors.offset import USUAL
+
+        path = self.folder / "calib.json"
+        rig: str | None = read_json(path).get("rig")
+        if rig is not None and rig not in list(USUAL):  # whatever JSON holds
+            raise DataError(f"{path}: rig {rig!r} is not known: leave it out, or choose one of {', '.join(USUAL)}")
+        return rig
 
     @cached_property
     def _pose_lines(self) -> dict[str, tuple[int, str]]:
