@@ -123,7 +123,8 @@ def _cell(tile: Tile, width: int) -> Image:
     shrink = width < tile.picture.shape[1]
     picture = cv2.resize(tile.picture, (width, height), interpolation=cv2.INTER_AREA if shrink else cv2.INTER_NEAREST)
     strip = np.full((STRIP_PX, width, 3), PAPER, np.uint8)
-    write(strip, tile.caption, (4, 22))
+    room = width - 8 if tile.bar is None else width - width // 3 - 60
+    write(strip, tile.caption, (4, 22), scale=min(1.0, room / max(1, text_width(tile.caption))) * TEXT_SCALE)
     if tile.bar is not None:
         _draw_bar(strip, tile.bar, width)
     return np.concatenate([strip, picture])

@@ -176,3 +176,12 @@ def test_plots_of_nothing_and_of_gaps_do_not_fail():
     for y in (np.full(3, np.nan), np.array([1.0, np.nan, np.inf]), np.zeros(3)):
         assert plot([Line("gap", np.arange(3.0), y)], "x", "y").shape == (400, 640, 3)
     assert plot([], "x", "y", size=(200, 300)).shape == (200, 300, 3)
+
+
+def test_a_long_caption_ends_before_the_bar() -> None:
+    """The bar's own pixels are the same whatever the caption says."""
+    tiles = [Tile(np.zeros((20, 60, 3), np.uint8), caption, picture.depth_bar()) for caption in ("", "long " * 60)]
+    plain, captioned = (picture.panel([tile], 1, 400) for tile in tiles)
+    right = 400 - 400 // 3 - 50
+    np.testing.assert_array_equal(plain[:, right:], captioned[:, right:])
+    assert not np.array_equal(plain[:, :right], captioned[:, :right])
