@@ -38,7 +38,7 @@ class Offset:
     field_px: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     """a, b, c, e."""
     scale: float = 1.0
-    """True over calibrated baseline, inverted."""
+    """Calibrated over true baseline."""
 
     def correct(self, disparity_px: FloatMap, camera: Camera) -> FloatMap:
         """Return corrected disparities (height, width), px."""
@@ -80,30 +80,26 @@ def compare(
     uv_px, depth_m = project(camera, transform(T_cam_lidar, untwist(sweep)))
     lidar_px = convert_disparity(scatter_nearest(uv_px, depth_m, camera.size), camera.fx, baseline_m)
     smooth_px, _ = diffuse(matched_px, to_grey(image))
-    slope = np.asarray(cv2.Sobel(smooth_px, cv2.CV_32F, 0, 1, ksize=5, scale=1 / 128), dtype=np.float32)
-    return gather(camera, lidar_px, matched_px, slope)
+    return gather(camera, lidar_px, matched_px, slope(smooth_px))
 
 
-def fit_offset(
-    camera: Camera, true_px: FloatMap, matched_px: FloatMap, slope: FloatMap, usual: Offset = NONE
-) -> Offset:
-    """Fit the offset to two disparity maps (height, width), 0 = none.
-
-    slope: (height, width) px per row of the disparity, for the misregistration of the true one.
-    """
-    return fit_points(gather(camera, true_px, matched_px, slope), usual)
+def slope(smooth_px: FloatMap) -> FloatMap:
+    """Return a smooth disparity's step from row to row (height, width), px."""
+    return np.asarray(cv2.Sobel(smooth_px, cv2.CV_32F, 0, 1, ksize=5, scale=1 / 128), dtype=np.float32)
 
 
-def gather(camera: Camera, true_px: FloatMap, matched_px: FloatMap, slope: FloatMap) -> Points:
-    """Return (n, 7) of the pixels that have both values: what a, b, c, e, scale and rows multiply, true - matched.
+def gather(camera: Camera, true_px: FloatMap, matched_px: FloatMap, slope_px: FloatMap) -> Points:
+    """Return (n, 7) of the pixels where two disparities (height, width), px, 0 = none, both have values.
+
+    The columns: what a, b, c, e, the scale and the rows multiply, and true - matched.
 
     Where the true map is registered some rows too high or low, the disparity of slanted surfaces seems off by the rows
-    times its slope: that is fitted beside and left out. Arguments as `fit_offset` takes them.
+    times its slope: that is fitted beside and left out.
     """
     both = (true_px > 0) & (matched_px > 0) & (np.abs(true_px - matched_px) < LARGEST_PX)
     row, column = np.nonzero(both)
     X, Y = (column - camera.K[0, 2]) / camera.fx, (row - camera.K[1, 2]) / camera.K[1, 1]
-    slanted = np.clip(slope[both], -STEEPEST, STEEPEST)
+    slanted = np.clip(slope_px[both], -STEEPEST, STEEPEST)
     missing_px = true_px[both] - matched_px[both]
     return np.stack([np.ones_like(X), X, X * X, X * Y, matched_px[both], slanted, missing_px], axis=1)
 

@@ -22,7 +22,7 @@ from priors.kernels.diffusion import diffuse_columns, link_columns
 from priors.kernels.occlusion import fill_occlusions
 from priors.matching import find_max_disparity, halve, match, quick_match, unlock
 from priors.methods.stereo import Stereo
-from priors.offset import NONE, Offset, fit_offset, usual_offset
+from priors.offset import NONE, Offset, fit_points, gather, usual_offset
 from priors.types import Camera, Depth, FloatMap, Frame, Sweep
 
 FX, BASELINE_M = 500.0, 0.5
@@ -278,17 +278,17 @@ def test_offset_has_a_curve_and_a_scale(rig: str | None) -> None:
     usual = usual_offset(rig, camera)
     true = Offset((0.5, -0.2, 2.0, -1.0), 0.985)
     true_px = true.correct(matched_px, camera) + rng.normal(0, 0.1, slope.shape).astype(np.float32)
-    found = fit_offset(camera, true_px, matched_px, slope, usual)
+    found = fit_points(gather(camera, true_px, matched_px, slope), usual)
     assert found.field_px == pytest.approx(true.field_px, abs=0.05)
     assert found.scale == pytest.approx(true.scale, abs=0.002)
-    assert fit_offset(camera, np.zeros_like(matched_px), matched_px, slope, usual) == usual
+    assert fit_points(gather(camera, np.zeros_like(matched_px), matched_px, slope), usual) == usual
 
 
 def test_offset_is_not_the_lidars_tilt() -> None:
     rng = np.random.default_rng(0)
     camera, matched_px, slope = road_and_walls()
     true_px = matched_px + 0.5 + 1.2 * slope + rng.normal(0, 0.1, slope.shape).astype(np.float32)
-    found = fit_offset(camera, true_px, matched_px, slope)
+    found = fit_points(gather(camera, true_px, matched_px, slope))
     assert found.field_px == pytest.approx((0.5, 0, 0, 0), abs=0.05)
     assert found.scale == pytest.approx(1, abs=0.003)
 

@@ -70,7 +70,7 @@ class Folder:
         self._others = stems(follow(self.folder / PARTNER[camera]), IMAGE_SUFFIXES)
         self._maps = {what: stems(follow(self.folder / name), MAP_SUFFIXES) for what, name in MAPS.items()}
         self.ids: Sequence[str] = list(self._images)
-        self._camera, self.baseline_m = self._read_calibration()
+        self._camera, self.baseline_m, self._rig = self._read_calibration()
 
     @property
     def name(self) -> str:
@@ -117,7 +117,7 @@ class Folder:
             side="left" if self.camera_name == "left" else "right",
         )
 
-    def _read_calibration(self) -> tuple[Camera, float | None]:
+    def _read_calibration(self) -> tuple[Camera, float | None, str | None]:
         path = self.folder / "calib.json"
         data = read_json(path)
         fx, fy, cx, cy = (_number(data, key, path) for key in ("fx", "fy", "cx", "cy"))
@@ -133,18 +133,8 @@ class Folder:
         if not (0 < cx < size[1] - 1 and 0 < cy < size[0] - 1):
             found = f"the centre ({cx:g}, {cy:g}) lies outside the {size[1]}x{size[0]} images"
             raise DataError(f"{path}: {found}: was one of them resized?")
-        return Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), size), baseline_m
-
-    @cached_property
-    def _rig(self) -> str | None:
-        """Return the calibration's rig; raises DataError where it is not a known one."""
-        from priors.offset import USUAL
-
-        path = self.folder / "calib.json"
-        rig: str | None = read_json(path).get("rig")
-        if rig is not None and rig not in list(USUAL):  # whatever JSON holds
-            raise DataError(f"{path}: rig {rig!r} is not known: leave it out, or choose one of {', '.join(USUAL)}")
-        return rig
+        camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), size)
+        return camera, baseline_m, _known_rig(data.get("rig"), path)
 
     @cached_property
     def _pose_lines(self) -> dict[str, tuple[int, str]]:
@@ -173,6 +163,18 @@ class Folder:
 
     def _read_map(self, path: Path) -> Depth:
         return Depth(check_size(codecs.read_float_map(path), path, self._camera))
+
+
+def _known_rig(rig: Any, path: Path) -> str | None:
+    """Return the calibration's rig; raises DataError where it is not a known one."""
+    if rig is None:
+        return None
+    from priors.offset import USUAL
+
+    for known in USUAL:
+        if rig == known:
+            return known
+    raise DataError(f"{path}: rig {rig!r} is not known: leave it out, or choose one of {', '.join(USUAL)}")
 
 
 def _number(data: dict[str, Any], key: str, path: Path) -> float:

@@ -52,6 +52,8 @@ SECONDS_PER_RADIAN = -SWEEP_S / (2 * np.pi)
 # Frames built in order share sweeps: 11 accumulated, and some workers ahead. 2 MB each.
 SWEEPS_KEPT = 24
 PARTNER = {"image_00": "image_01", "image_01": "image_00", "image_02": "image_03", "image_03": "image_02"}
+DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
+"""Of KITTI's own recordings; others use its layout."""
 
 
 def recognises(path: Path) -> bool:
@@ -69,10 +71,6 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
 def _drive_folders(path: Path) -> list[Path]:
     """List the drives at path, or where it is none itself, one or two levels below."""
     return search(path, lambda folder: any((folder / name / "data").is_dir() for name in PARTNER), 2)
-
-
-DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
-"""Of KITTI's own recordings; others use its layout."""
 
 
 @dataclass(frozen=True)

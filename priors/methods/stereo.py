@@ -70,7 +70,7 @@ class Stereo:
             from priors.nets import runtime
 
             resolved = replace(self, runtime=runtime.choose(self.runtime, self.weights))
-        offset = self._offset() if self.offset_px is not None else calibrate(frame, resolved._sure)
+        offset = self.correction() if self.offset_px is not None else calibrate(frame, resolved._sure)
         return replace(resolved, offset_px=offset.field_px, scale=offset.scale)
 
     def weights_digest(self) -> str | None:
@@ -83,7 +83,7 @@ class Stereo:
 
     def prepare(self, drive: Drive, folder: Path, on_note: Callable[[str], None]) -> Self:
         """Tell what the disparity is corrected by, if it is; see build.build."""
-        offset = self._offset()
+        offset = self.correction()
         if offset != NONE:
             a, b, c, e = (f"{value:+.2f}" for value in offset.field_px)
             on_note(
@@ -107,7 +107,7 @@ class Stereo:
         disparity_px[rows], trust[rows] = self._match(image[rows], other[rows], self.max_disparity_px or needed_px)
         disparity_px, trust = unmirror(frame, disparity_px), unmirror(frame, trust)
         found = disparity_px > 0
-        disparity_px = self._offset().correct(disparity_px, frame.camera)
+        disparity_px = self.correction().correct(disparity_px, frame.camera)
         least_px = np.float32(fx_baseline / FARTHEST_M)
         beyond = disparity_px <= least_px
         np.maximum(disparity_px, least_px, out=disparity_px)
@@ -118,7 +118,8 @@ class Stereo:
             found &= ~beyond  # the disparity of the sky may be right, but its depth is not known
         return doubt(Depth(depth_m, np.where(found, trust, np.float32(0))), unmirror(frame, sky))
 
-    def _offset(self) -> Offset:
+    def correction(self) -> Offset:
+        """Return what the matched disparities are corrected by."""
         a, b, c, e = (*(self.offset_px or ()), *NONE.field_px)[: len(NONE.field_px)]
         return Offset((a, b, c, e), NONE.scale if self.scale is None else self.scale)
 

@@ -22,7 +22,7 @@ from priors.geometry import invert
 from priors.learn.pseudo import find
 from priors.matching import match, to_grey
 from priors.methods._stereo_pair import read_pair
-from priors.offset import Offset, Points, compare, fit_points, gather
+from priors.offset import Offset, Points, compare, fit_points, gather, slope
 from priors.types import Drive, FloatMap, Frame
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data"
@@ -46,9 +46,8 @@ def main() -> None:
     for sequence in ("06", "01"):
         drive = drives.open_drive(options.data / "kitti_odometry", options=DriveOptions(drive=sequence))
         show(f"odometry {sequence}, ego-motion", (by_motion(drive, index) for index in range(0, len(drive) - 1, STEP)))
-        named = (
-            (frame, find(options.teacher, f"{sequence}_{frame.id}")) for frame in map(drive.__getitem__, range(51))
-        )
+        frames = (drive[index] for index in range(len(drive)))
+        named = ((frame, find(options.teacher, f"{sequence}_{frame.id}")) for frame in frames)
         maps = [(frame, path) for frame, path in named if path is not None]
         show(f"odometry {sequence}, teacher", (by_teacher(frame, np.load(path)) for frame, path in maps))
 
@@ -83,7 +82,7 @@ def by_teacher(frame: Frame, teacher_px: FloatMap) -> Points:
     """Gather what a teacher's map says of it: every 20th pixel, neighbours tell the same."""
     image, other = read_pair(frame)
     matched_px = match(image, other)
-    return gather(frame.camera, teacher_px.astype(np.float32), matched_px, slope(matched_px))[::20]
+    return gather(frame.camera, teacher_px.astype(np.float32), matched_px, slope(blurred(matched_px)))[::20]
 
 
 def by_motion(drive: Drive, index: int) -> Points:
@@ -92,13 +91,12 @@ def by_motion(drive: Drive, index: int) -> Points:
     image, other = read_pair(frame)
     matched_px = match(image, other)
     true_px = motion_disparity(frame, to_grey(image), drive[index + 1], matched_px)
-    return gather(frame.camera, true_px, matched_px, slope(matched_px))
+    return gather(frame.camera, true_px, matched_px, slope(blurred(matched_px)))
 
 
-def slope(matched_px: FloatMap) -> FloatMap:
-    """Return the disparity's step from row to row, px."""
-    smooth_px = cv2.GaussianBlur(matched_px, (0, 0), 2)
-    return np.asarray(cv2.Sobel(smooth_px, cv2.CV_32F, 0, 1, ksize=5, scale=1 / 128), dtype=np.float32)
+def blurred(matched_px: FloatMap) -> FloatMap:
+    """Return a match that is smooth enough to have a slope."""
+    return np.asarray(cv2.GaussianBlur(matched_px, (0, 0), 2), np.float32)
 
 
 def motion_disparity(frame: Frame, grey: Any, after: Frame, matched_px: FloatMap) -> FloatMap:
@@ -116,8 +114,9 @@ def motion_disparity(frame: Frame, grey: Any, after: Frame, matched_px: FloatMap
         return (seen[:2] / seen[2]).T
 
     expected = land(near_px)
-    ahead, there, _ = cv2.calcOpticalFlowPyrLK(grey, to_grey(after.image()), start, f32(expected), None, **TRACK)
-    back, again, _ = cv2.calcOpticalFlowPyrLK(to_grey(after.image()), grey, ahead, start.copy(), None, **TRACK)
+    later, guess = to_grey(after.image()), np.ascontiguousarray(expected, np.float32)
+    ahead, there, _ = cv2.calcOpticalFlowPyrLK(grey, later, start, guess, None, **TRACK)
+    back, again, _ = cv2.calcOpticalFlowPyrLK(later, grey, ahead, start.copy(), None, **TRACK)
     parallax = (land(near_px + 0.01) - expected) / 0.01  # px of motion per px of disparity
     size = np.linalg.norm(parallax, axis=1)
     moved = ahead - expected
@@ -129,11 +128,6 @@ def motion_disparity(frame: Frame, grey: Any, after: Frame, matched_px: FloatMap
     column, row = start[good].astype(int).T
     true_px[row, column] = np.maximum(near_px + along, 0)[good]
     return true_px
-
-
-def f32(points: Any) -> Any:
-    """Return points as OpenCV takes them."""
-    return np.ascontiguousarray(points, np.float32)
 
 
 if __name__ == "__main__":

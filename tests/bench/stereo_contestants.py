@@ -65,13 +65,8 @@ def moved(contestant: Contestant, frame: Frame) -> dict[str, Contestant]:
             "measured": replace(run, offset_px=None, scale=None).resolve(frame),
         }
     else:
-        measured = Stereo().resolve(frame)
-        assert measured.offset_px is not None and measured.scale is not None
-        a, b, c, e = measured.offset_px
-        runs = {
-            "usual": partial(run, offset=usual),
-            "measured": partial(run, offset=Offset((a, b, c, e), measured.scale)),
-        }
+        measured = Stereo().resolve(frame).correction()
+        runs = {"usual": partial(run, offset=usual), "measured": partial(run, offset=measured)}
     return {kind: replace(contestant, run=run) for kind, run in runs.items()}
 
 
