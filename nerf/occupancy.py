@@ -27,6 +27,7 @@ from nerf.samples import Samples
 from nerf.scene import Scene
 from nerf.space import Space
 from nerf.twin.sample import cells
+from priors import threads
 from priors.geometry import rays as pixel_rays
 
 Density = Callable[[Tensor, Tensor], Tensor]
@@ -159,7 +160,8 @@ class Occupancy:
         last_m = np.where(depth_m > 0, np.clip(depth_m * np.float32(min(end, 1e3)), near, far), far)
         origins = origin.expand_as(directions).contiguous()
         code, resolution = self.space.code, self.resolution
-        trace(origins.numpy(), directions.numpy(), first_m, last_m, code, resolution, grid)
+        given = (origins.numpy(), directions.numpy(), first_m, last_m, code, resolution, grid)
+        threads.over(len(pixels), lambda first, last: trace(*given, first, last))
         return grid
 
     def _inside(self, cell: Tensor, generator: np.random.Generator) -> tuple[Tensor, Tensor]:

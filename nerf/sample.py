@@ -21,6 +21,7 @@ from nerf.samples import BLOCK, Samples
 from nerf.space import Space
 from nerf.twin import sample as twin
 from nerf.twin.sample import Course, Picked
+from priors import threads
 
 Key: TypeAlias = tuple[int, int]
 _SHIFTS, _UNGUIDED = 1, 2
@@ -104,7 +105,8 @@ def resample(
         from nerf.kernels.resample import invert
 
         ends = np.empty((2, len(rays), count), np.float32)
-        invert(*(x.numpy() for x in histogram), targets.numpy(), margin, anneal, ends)
+        given = (*(x.contiguous().numpy() for x in histogram), targets.numpy(), margin, anneal, ends)
+        threads.over(len(rays), lambda first, last: invert(*given, first, last))
         return _pick(replace(course, ends=torch.from_numpy(ends), slots=count), occupancy)
     ends_s = torch.stack(twin.resample(*histogram, targets, margin, anneal))
     return _pick(replace(course, ends=ends_s, slots=count), occupancy)
@@ -193,24 +195,24 @@ def _pick_compiled(course: Course, kept: Tensor | None, resolution: int) -> Samp
         course.stop, course.band0_m, course.band1_m, course.shift,
     )  # fmt: skip
     along = torch.stack(rows).numpy()
-    origins, directions, counts = course.origins.numpy(), course.directions.numpy(), course.count.numpy()
+    origins, directions, counts = (x.contiguous().numpy() for x in (course.origins, course.directions, course.count))
     ends = np.empty((2, count, 0), np.float32) if course.ends is None else course.ends.numpy()
     grid = np.empty(0, np.uint8) if kept is None else kept.numpy()
     near, far = np.float32(course.near_m), np.float32(course.far_m)
     chosen, found = np.empty((count, course.slots), np.uint8), np.empty(count, np.int64)
-    choose(
-        origins, directions, along, counts, course.band_count, course.slots, ends, near, far, course.kind,
-        grid, resolution, chosen, found,
-    )  # fmt: skip
+    given = (origins, directions, along, counts, course.band_count)
+    asked = (*given, course.slots, ends, near, far, course.kind, grid, resolution, chosen, found)
+    threads.over(count, lambda first, last: choose(*asked, first, last))
     offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(found)])
     used = int(offsets[-1])
     m = _room(used)
     ray, table, u = np.empty(m, np.int32), np.empty(m, np.int32), np.empty((3, m), np.float32)
     t, dt_m, s0, s1 = (np.empty(m, np.float32) for _ in range(4))
-    fill(
-        origins, directions, along, counts, course.band_count, ends, near, far, course.kind,
-        chosen, offsets, ray, t, dt_m, s0, s1, u, table,
-    )  # fmt: skip
+    packed = (ray, t, dt_m, s0, s1, u, table)
+    wanted = (*given, ends, near, far, course.kind, chosen, offsets, *packed)
+    threads.over(count, lambda first, last: fill(*wanted, first, last))
+    for array in packed:
+        array[..., used:] = -1 if array is ray else 0
     tensor = torch.from_numpy
     return Samples(
         tensor(offsets), tensor(ray), tensor(t), tensor(dt_m), tensor(s0), tensor(s1), tensor(u).T, tensor(table), used

@@ -175,9 +175,12 @@ def test_argoverse_log_is_audited(tracking_log: Path) -> None:
     assert "fatal" in levels(audit(tracking_log, camera="ring_front_center"))
 
 
-@pytest.mark.parametrize("name", ["kitti_raw", "kitti_raw_397x120", "kitti_raw_train"])
-def test_real_drives_are_sound(real_data: RealData, name: str) -> None:
-    findings = audit(real_data(name))
+@pytest.mark.parametrize(
+    ("name", "drive"),
+    [("kitti_raw", None), ("kitti_raw_397x120", None), ("kitti_raw_train", "2011_09_26_drive_0009_sync")],
+)
+def test_real_drives_are_sound(real_data: RealData, name: str, drive: str | None) -> None:
+    findings = audit(real_data(name), drive=drive)
     assert levels(findings) <= {"ok", "note"}, findings
 
 

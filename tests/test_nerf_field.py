@@ -64,12 +64,11 @@ def test_all_gradients_equal_the_twins(count, footprint):
     field.backward(d_sigma, d_rgb)
 
     leaves = {name: tensor.double().requires_grad_() for name, tensor in field.parameters().items()}
-    stored = rounded(leaves["grid"]) if cpu.STORAGE is torch.bfloat16 else leaves["grid"]
+    stored = rounded(leaves["grid"])
     features = twin_encode.encode(samples.u, samples.table, footprint, stored, SMALL.grid)
     layers = Layers(*(tensor for name, tensor in leaves.items() if name != "grid"))
-    half = cpu._tiled()
     basis = harmonics(units).double()
-    outputs = twin_field.shade(features, basis, samples.ray, layers, SMALL.network.initial_density, half)
+    outputs = twin_field.shade(features, basis, samples.ray, layers, SMALL.network.initial_density, half=True)
     torch.autograd.backward(outputs, (d_sigma.double(), d_rgb.double()))
 
     def far(found, wanted):

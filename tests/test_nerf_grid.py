@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from nerf.grid import Grid, GridConfig, level_shapes
 from nerf.kernels import cpu
 from nerf.twin import encode as twin
+from priors import threads
 
 CPU = torch.device("cpu")
 CONFIGS = {
@@ -117,15 +118,12 @@ def test_same_bits_whatever_the_threads():
     config = CONFIGS["usual"]
     weights, u, table = made(config, count=4096)
     d_features = torch.randn(config.levels, len(u), 2).bfloat16()
-    threads, results = torch.get_num_threads(), []
-    try:
-        for count in (1, 2, 2):
-            torch.set_num_threads(count)
+    results = []
+    for count in (1, 2, 5):
+        with threads.limited(count):
             gradient = torch.empty(weights.shape)
             cpu.spread(u, table, None, d_features, config, gradient)
             results.append((cpu.encode(u, table, None, weights, config), gradient))
-    finally:
-        torch.set_num_threads(threads)
     assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(results[0], other, strict=True))
 
 

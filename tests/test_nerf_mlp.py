@@ -1,4 +1,4 @@
-"""The small networks: kernels on matrix tiles equal the twin that rounds alike, and are near the one that does not."""
+"""The small networks: the kernels equal the twin that rounds alike, and are near the one that does not."""
 
 import numpy as np
 import pytest
@@ -11,12 +11,12 @@ from nerf.mlp import Network, NetworkConfig
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin
 from nerf.twin.field import LOGIT_MAX, Layers
+from priors import threads
 
 INITIAL = 0.02
 SIZES = pytest.mark.parametrize(
     ("width", "levels", "count"), [(64, 16, 2048), (16, 16, 320), (32, 5, 64), (48, 7, 192), (128, 12, 1024)]
 )
-tiles = pytest.mark.skipif(not cpu._tiled(), reason="this CPU has no matrix tiles; the networks are the twin itself")
 
 
 @pytest.fixture(autouse=True)
@@ -49,7 +49,6 @@ def far(found, wanted):
     return float((found.double() - wanted).norm() / wanted.norm())
 
 
-@tiles
 @SIZES
 def test_equal_to_the_twin_that_rounds_alike(width, levels, count):
     layers, *asked, d_sigma, d_rgb = made(width, levels, count)
@@ -64,7 +63,6 @@ def test_equal_to_the_twin_that_rounds_alike(width, levels, count):
         assert far(mine, wanted) < 1e-3
 
 
-@tiles
 @SIZES
 def test_near_the_twin_in_full_precision(width, levels, count):
     layers, *asked, d_sigma, d_rgb = made(width, levels, count)
@@ -77,18 +75,6 @@ def test_near_the_twin_in_full_precision(width, levels, count):
     assert float(np.median(samples)) < 0.03
     for mine, wanted in zip((d_features, *d_layers), gradients, strict=True):
         assert far(mine, wanted) < 0.2
-
-
-def test_without_tiles_the_networks_are_the_twin(monkeypatch):
-    monkeypatch.setattr(cpu, "_tiled", lambda: False)
-    layers, *asked, d_sigma, d_rgb = made(32, 8, 128)
-    outputs, gradients = exact(layers, *asked, d_sigma, d_rgb, half=False)
-    found = cpu.shade(*asked, layers, INITIAL)
-    assert all(far(mine, wanted) < 1e-6 for mine, wanted in zip(found, outputs, strict=True))
-    assert torch.equal(cpu.density(asked[0], layers, INITIAL), found[0])
-    d_features, d_layers = cpu.shade_backward(*asked, layers, INITIAL, d_sigma, d_rgb)
-    for mine, wanted in zip((d_features, *d_layers), gradients, strict=True):
-        assert far(mine, wanted) < 1e-5
 
 
 @SIZES
@@ -104,14 +90,11 @@ def test_density_alone_is_the_same_density(width, levels, count):
 
 def test_same_bits_whatever_the_threads():
     layers, *asked, d_sigma, d_rgb = made(64, 16, 4096)
-    threads, results = torch.get_num_threads(), []
-    try:
-        for count in (1, 2, 2) if cpu._tiled() else (2, 2):
-            torch.set_num_threads(count)
+    results = []
+    for count in (1, 2, 5):
+        with threads.limited(count):
             d_features, d_layers = cpu.shade_backward(*asked, layers, INITIAL, d_sigma, d_rgb)
             results.append((*cpu.shade(*asked, layers, INITIAL), d_features, *d_layers))
-    finally:
-        torch.set_num_threads(threads)
     assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(results[0], other, strict=True))
 
 

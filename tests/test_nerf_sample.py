@@ -227,7 +227,7 @@ def run(kind: str, *histogram: torch.Tensor, targets: torch.Tensor, margin: floa
     from nerf.kernels.resample import invert
 
     ends = np.empty((2, len(targets), targets.shape[1] - 1), np.float32)
-    invert(*(x.numpy() for x in histogram), targets.numpy(), margin, anneal, ends)
+    invert(*(x.numpy() for x in histogram), targets.numpy(), margin, anneal, ends, 0, len(targets))
     return torch.from_numpy(ends)
 
 

@@ -2,15 +2,14 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
 
 from nerf.kernels.lanes import floats, fma, load_floats, root, round_bfloat, store, store_halves
+from priors.compiled import compiled
 
 Numbers = npt.NDArray[np.float32]
-STRETCH = 16384
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _sixteen(weights, gradient, mean, square, copy, i, settings):  # type: ignore[no-untyped-def]
     beta_mean, beta_square, rate, inverse, epsilon = settings
     one = np.float32(1)
@@ -25,7 +24,7 @@ def _sixteen(weights, gradient, mean, square, copy, i, settings):  # type: ignor
         store_halves(copy, i, round_bfloat(w))
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@compiled
 def adam(
     weights: Numbers,
     gradient: Numbers,
@@ -33,28 +32,23 @@ def adam(
     square: Numbers,
     copy: npt.NDArray[np.int16],
     settings: tuple[np.float32, np.float32, np.float32, np.float32, np.float32],
+    first: int,
+    last: int,
 ) -> None:
-    """Move flat weights along their gradient; `copy` is their bfloat16 bits, or empty.
+    """Move flat weights first to last along their gradient; `copy` is their bfloat16 bits, or empty.
 
     settings: beta of the mean and of the square, rate / (1 - beta_mean^step), 1 / (1 - beta_square^step), epsilon.
     """
-    count = weights.size
-    for stretch in prange((count + STRETCH - 1) // STRETCH):
-        first, last = stretch * STRETCH, min(count, (stretch + 1) * STRETCH)
-        for i in range(first, last - 15, 16):
-            _sixteen(weights, gradient, mean, square, copy, i, settings)
-        rest = last - (last - first) % 16
-        if rest < last:  # the tail, filled up
-            tail = last - rest
-            padded = np.zeros((4, 16), dtype=np.float32)
-            half = np.zeros(16, dtype=np.int16)
-            padded[0, :tail], padded[1, :tail] = weights[rest:last], gradient[rest:last]
-            padded[2, :tail], padded[3, :tail] = mean[rest:last], square[rest:last]
-            _sixteen(padded[0], padded[1], padded[2], padded[3], half, 0, settings)
-            weights[rest:last], mean[rest:last], square[rest:last] = (
-                padded[0, :tail],
-                padded[2, :tail],
-                padded[3, :tail],
-            )
-            if copy.size:
-                copy[rest:last] = half[:tail]
+    for i in range(first, last - 15, 16):
+        _sixteen(weights, gradient, mean, square, copy, i, settings)
+    rest = last - (last - first) % 16
+    if rest < last:  # the tail, filled up
+        tail = last - rest
+        padded = np.zeros((4, 16), dtype=np.float32)
+        half = np.zeros(16, dtype=np.int16)
+        padded[0, :tail], padded[1, :tail] = weights[rest:last], gradient[rest:last]
+        padded[2, :tail], padded[3, :tail] = mean[rest:last], square[rest:last]
+        _sixteen(padded[0], padded[1], padded[2], padded[3], half, 0, settings)
+        weights[rest:last], mean[rest:last], square[rest:last] = padded[0, :tail], padded[2, :tail], padded[3, :tail]
+        if copy.size:
+            copy[rest:last] = half[:tail]

@@ -1,20 +1,19 @@
-"""Compiled volume rendering: a ray a thread, near to far and back. Equals nerf/twin/render.py."""
+"""Compiled volume rendering, near to far and back, of rays first_ray to last_ray. Equals nerf/twin/render.py."""
 
 import math
 
 import numpy as np
-from numba import njit, prange
 
 from nerf.kernels.limits import LEAST, NO_TARGET, REACH, SOFT
-
-# No nnan, no ninf: an overflow must stay visible.
-FAST = {"reassoc", "contract", "nsz", "arcp"}
+from priors.compiled import FAST, compiled
 
 
-@njit(parallel=True, cache=True, nogil=True, fastmath=FAST)
-def forward(offsets, sigma, colour, t, dt_m, sky, floor, rgb, depth_m, median_m, transmittance, weights):  # type: ignore[no-untyped-def]
+@compiled(fastmath=FAST)
+def forward(  # type: ignore[no-untyped-def]
+    offsets, sigma, colour, t, dt_m, sky, floor, rgb, depth_m, median_m, transmittance, weights, first_ray, last_ray
+):
     """Fill rgb (r, 3), depth_m, median_m, transmittance (r,) and weights (m,)."""
-    for ray in prange(offsets.size - 1):
+    for ray in range(first_ray, last_ray):
         optical, through = 0.0, 1.0
         red, green, blue, moment, middle = 0.0, 0.0, 0.0, 0.0, 0.0
         for i in range(offsets[ray], offsets[ray + 1]):
@@ -36,16 +35,15 @@ def forward(offsets, sigma, colour, t, dt_m, sky, floor, rgb, depth_m, median_m,
         depth_m[ray] = moment / max(-np.expm1(-optical), floor)
         median_m[ray] = middle
         transmittance[ray] = through
-    weights[offsets[-1] :] = 0.0
 
 
-@njit(parallel=True, cache=True, nogil=True, fastmath=FAST)
+@compiled(fastmath=FAST)
 def backward(  # type: ignore[no-untyped-def]
     offsets, sigma, colour, t, dt_m, sky, floor, depth_m, transmittance, weights,
-    d_rgb, d_depth, d_transmittance, d_weights, d_tau, d_sigma, d_colour, d_sky,
+    d_rgb, d_depth, d_transmittance, d_weights, d_tau, d_sigma, d_colour, d_sky, first_ray, last_ray,
 ):  # fmt: skip
     """Fill d_sigma (m,), d_colour (m, 3) and d_sky (r, 3) from the losses' gradients (nerf.render.Gradients)."""
-    for ray in prange(offsets.size - 1):
+    for ray in range(first_ray, last_ray):
         end = float(transmittance[ray])
         opacity = 1.0 - end
         d_end = float(d_transmittance[ray])
@@ -69,17 +67,15 @@ def backward(  # type: ignore[no-untyped-def]
             d_sigma[k] = dt_m[k] * (d_w * np.exp(-optical) - behind + d_tau[k])
             optical -= float(sigma[k]) * dt_m[k]
             behind += d_w * weights[k]
-    d_sigma[offsets[-1] :] = 0.0
-    d_colour[offsets[-1] :] = 0.0
 
 
-@njit(parallel=True, cache=True, nogil=True, fastmath=FAST)
-def distortion(offsets, weights, s0, s1, scale, loss, d_weights):  # type: ignore[no-untyped-def]
+@compiled(fastmath=FAST)
+def distortion(offsets, weights, s0, s1, scale, loss, d_weights, first_ray, last_ray):  # type: ignore[no-untyped-def]
     """Add mip-NeRF 360's distortion of each ray to loss (r,), its gradient times scale (r,) to d_weights; O(samples).
 
     sum_ij w_i w_j |m_i - m_j| + sum_i w_i^2 (s1_i - s0_i) / 3, intervals in order (Barron et al., CVPR 2022, eq. 15).
     """
-    for ray in prange(offsets.size - 1):
+    for ray in range(first_ray, last_ray):
         total, moment = 0.0, 0.0
         for i in range(offsets[ray], offsets[ray + 1]):
             total += weights[i]
@@ -96,17 +92,19 @@ def distortion(offsets, weights, s0, s1, scale, loss, d_weights):  # type: ignor
         loss[ray] += found
 
 
-@njit(inline="always")
+@compiled(inline="always")
 def _mass(low, high, centre, deviation):  # type: ignore[no-untyped-def]
     """Return a normal distribution's mass between low and high."""
     root = 0.7071067811865476 / deviation
     return 0.5 * (math.erf((high - centre) * root) - math.erf((low - centre) * root))
 
 
-@njit(parallel=True, cache=True, nogil=True, fastmath=FAST)
-def kl(offsets, sigma, dt_m, t, norms, depth_m, deviation_m, scale, loss, d_tau):  # type: ignore[no-untyped-def]
+@compiled(fastmath=FAST)
+def kl(  # type: ignore[no-untyped-def]
+    offsets, sigma, dt_m, t, norms, depth_m, deviation_m, scale, loss, d_tau, first_ray, last_ray
+):
     """Fill loss (r,) with -sum q log w, add its gradient times scale (r,) to d_tau (m,); see nerf.losses."""
-    for ray in prange(offsets.size - 1):
+    for ray in range(first_ray, last_ray):
         loss[ray] = 0.0
         first, last = offsets[ray], offsets[ray + 1]
         if depth_m[ray] <= 0.0:
@@ -134,10 +132,12 @@ def kl(offsets, sigma, dt_m, t, norms, depth_m, deviation_m, scale, loss, d_tau)
             behind += q
 
 
-@njit(parallel=True, cache=True, nogil=True, fastmath=FAST)
-def sight(offsets, weights, dt_m, t, norms, depth_m, deviation_m, scale, loss, d_weights):  # type: ignore[no-untyped-def]
+@compiled(fastmath=FAST)
+def sight(  # type: ignore[no-untyped-def]
+    offsets, weights, dt_m, t, norms, depth_m, deviation_m, scale, loss, d_weights, first_ray, last_ray
+):
     """Fill loss (r,) with URF's line of sight, add its gradient times scale (r,) to d_weights; see nerf.losses."""
-    for ray in prange(offsets.size - 1):
+    for ray in range(first_ray, last_ray):
         loss[ray] = 0.0
         if depth_m[ray] <= 0.0:
             continue
@@ -154,10 +154,13 @@ def sight(offsets, weights, dt_m, t, norms, depth_m, deviation_m, scale, loss, d
             d_weights[i] += scale[ray] * 2.0 * off
 
 
-@njit(parallel=True, cache=True, nogil=True, fastmath=FAST)
-def interlevel(offsets, weights, s0, s1, coarse_offsets, coarse_weights, coarse_s0, coarse_s1, scale, loss, d_coarse):  # type: ignore[no-untyped-def]
+@compiled(fastmath=FAST)
+def interlevel(  # type: ignore[no-untyped-def]
+    offsets, weights, s0, s1, coarse_offsets, coarse_weights, coarse_s0, coarse_s1, scale, loss, d_coarse,
+    first_ray, last_ray,
+):  # fmt: skip
     """Fill loss (r,) and d_coarse (m,): fine weights that coarse intervals do not cover; see nerf.losses.interlevel."""
-    for ray in prange(offsets.size - 1):
+    for ray in range(first_ray, last_ray):
         first, last = coarse_offsets[ray], coarse_offsets[ray + 1]
         d_coarse[first:last] = 0.0
         found, low = 0.0, first
@@ -175,4 +178,3 @@ def interlevel(offsets, weights, s0, s1, coarse_offsets, coarse_weights, coarse_
                 for j in range(low, high):
                     d_coarse[j] -= scale[ray] * 2.0 * share
         loss[ray] = found
-    d_coarse[coarse_offsets[-1] :] = 0.0

@@ -5,7 +5,6 @@ A row of the grid is two features as bfloat16 in one 32-bit word: one gathered w
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
 
 from nerf.kernels.lanes import (
     add_pair,
@@ -27,12 +26,13 @@ from nerf.kernels.lanes import (
     to_floats,
     truncate,
 )
+from priors.compiled import compiled
 
 Words = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _axis(u, resolution):  # type: ignore[no-untyped-def]
     """Return a coordinate's cell and the place in it, [0, 1]."""
     place = u * floats(np.float32(resolution))
@@ -40,13 +40,13 @@ def _axis(u, resolution):  # type: ignore[no-untyped-def]
     return cell, place - to_floats(cell)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _row(number, shift, mask):  # type: ignore[no-untyped-def]
     """Return the row of a corner's number: see nerf.grid.level_shapes."""
     return (number ^ (number >> shift)) & mask
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _kept(footprint, resolution):  # type: ignore[no-untyped-def]
     """Return erf(1 / sqrt(8 (footprint resolution)^2)), absolute error below 2e-7 (Abramowitz and Stegun 7.1.26)."""
     x = floats(np.float32(0.35355339)) / larger(footprint * floats(np.float32(resolution)), floats(1e-6))
@@ -58,9 +58,15 @@ def _kept(footprint, resolution):  # type: ignore[no-untyped-def]
     return floats(1.0) - t * p * exponential(floats(0.0) - smaller(x * x, floats(80.0)))
 
 
-@njit(cache=True, nogil=True)
-def _encode_level(u, base, footprint, words, shape, out, first, last):  # type: ignore[no-untyped-def]
-    """Interpolate one level for samples [first, last); `shape` is a row of `level_shapes`."""
+@compiled
+def encode(
+    u: Numbers, base: Words, footprint: Numbers, words: Words, shape: Words, out: Words, first: int, last: int
+) -> None:
+    """Interpolate one level for samples first to last, multiples of 16.
+
+    u (3, m); base (m,) first row of the sample's table, or empty; footprint (m,) or empty; words (rows,) of all tables;
+    shape: the level's row of `level_shapes`; out (m,).
+    """
     resolution, step_y, step_z, start = shape[0], ints(shape[1]), ints(shape[2]), np.int64(shape[5])
     shift, mask = ints(shape[3]), ints(shape[4])
     for i in range(first, last, 16):
@@ -90,14 +96,28 @@ def _encode_level(u, base, footprint, words, shape, out, first, last):  # type: 
         store(out, i, pack(low, high))
 
 
-@njit(cache=True, nogil=True)
-def _spread_level(u, base, footprint, words, shape, gradient, count):  # type: ignore[no-untyped-def]
-    """Add every sample's gradient to its 8 rows of one level."""
+@compiled
+def spread(
+    u: Numbers,
+    base: Words,
+    footprint: Numbers,
+    words: Words,
+    shape: Words,
+    end: int,
+    rows_of_table: int,
+    gradient: Numbers,
+) -> None:
+    """Set one level's gradient in all tables, flat pairs, from its features' gradient `words` (m,), in their order.
+
+    shape: the level's row of `level_shapes`; `end`: the row of a table behind its last one.
+    """
     resolution, step_y, step_z, start = shape[0], ints(shape[1]), ints(shape[2]), np.int64(shape[5])
+    for table in range(0, gradient.size // 2, rows_of_table):
+        gradient[2 * (table + start) : 2 * (table + end)] = 0
     shift, mask = ints(shape[3]), ints(shape[4])
     rows = np.empty(8 * 16, dtype=np.int32)  # of the 8 corners of 16 samples
     pairs = np.empty(8 * 32, dtype=np.float32)  # what to add there
-    for i in range(0, count, 16):
+    for i in range(0, len(words), 16):
         x, fx = _axis(load_floats(u[0], i), resolution)
         y, fy = _axis(load_floats(u[1], i), resolution)
         z, fz = _axis(load_floats(u[2], i), resolution)
@@ -126,46 +146,3 @@ def _spread_level(u, base, footprint, words, shape, gradient, count):  # type: i
         for lane in range(16):  # a sample's corners are 8 rows: no addition waits for the one before
             for k in range(lane, 128, 16):
                 add_pair(gradient, start + load_int(rows, k), pairs, k)
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def encode(
-    u: Numbers, base: Words, footprint: Numbers, words: Words, shapes: Words, out: Words, threads: int, parts: int
-) -> None:
-    """Interpolate all levels.
-
-    u (3, m), m a multiple of 16; base (m,) first row of the sample's table, or empty; footprint (m,) or empty; words
-    (rows,) of all tables; shapes (levels, 6) of `level_shapes`; out (levels, m). Each level is done in `parts`
-    stretches of samples; thread t of `threads` takes every threads-th of them.
-    """
-    levels, count = out.shape
-    stretch = (count // 16 + parts - 1) // parts * 16
-    for thread in prange(threads):
-        for task in range(thread, levels * parts, threads):
-            level, part = task // parts, task % parts
-            last = min(count, (part + 1) * stretch)
-            _encode_level(u, base, footprint, words, shapes[level], out[level], part * stretch, last)
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def spread(
-    u: Numbers,
-    base: Words,
-    footprint: Numbers,
-    words: Words,
-    shapes: Words,
-    rows: int,
-    gradient: Numbers,
-    threads: int,
-) -> None:
-    """Set the gradient of all tables, flat pairs, from the features' gradient `words` (levels, m); `rows` of a table.
-
-    A level belongs to one thread: the sums are in the samples' order, whatever the number of threads.
-    """
-    levels, count = words.shape
-    for thread in prange(threads):
-        for level in range(thread, levels, threads):
-            first, last = shapes[level, 5], shapes[level + 1, 5] if level + 1 < levels else rows
-            for table in range(0, gradient.size // 2, rows):
-                gradient[2 * (table + first) : 2 * (table + last)] = 0
-            _spread_level(u, base, footprint, words[level], shapes[level], gradient, count)

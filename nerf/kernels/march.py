@@ -5,14 +5,15 @@ a float32, since Python's own numbers would make a double of everything they tou
 """
 
 import numpy as np
-from numba import njit, prange
+
+from priors.compiled import compiled
 
 BOX, BALL, SPHERES = 0, 1, 2
 ZERO, HALF, ONE, TWO, QUARTER = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(0.25)
 LARGEST = np.float32(1e15)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def warp(x, y, z, kind):  # type: ignore[no-untyped-def]
     """Map a place to u and its table: twin.space.warp."""
     if kind == BOX:
@@ -30,7 +31,7 @@ def warp(x, y, z, kind):  # type: ignore[no-untyped-def]
     return x * factor * QUARTER + HALF, y * factor * QUARTER + HALF, z * factor * QUARTER + HALF, table
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def cell(u, v, w, table, resolution):  # type: ignore[no-untyped-def]
     """Return the flat index of the cell that holds u: twin.sample.cells."""
     size, last = np.float32(resolution), resolution - 1
@@ -38,19 +39,19 @@ def cell(u, v, w, table, resolution):  # type: ignore[no-untyped-def]
     return ((table * resolution + z) * resolution + y) * resolution + x
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def unramp(g, knee):  # type: ignore[no-untyped-def]
     """Turn a ramp's value into a depth: twin.space.unramp."""
     return TWO * knee * g if g < HALF else knee / (TWO * (ONE - g))
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def ramp(t, knee):  # type: ignore[no-untyped-def]
     """Squeeze a depth into [0, 1): twin.space.ramp."""
     return t / (TWO * knee) if t < knee else ONE - knee / (TWO * t)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def interval(  # type: ignore[no-untyped-def]
     slot, knee, low, span, start, stop, count, band0, band1, band_count, shift, near, far
 ):
@@ -75,7 +76,7 @@ def interval(  # type: ignore[no-untyped-def]
     return s0, min(max((ramp(t1, knee) - low) / span, ZERO), ONE), t0, t1
 
 
-@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def choose(  # type: ignore[no-untyped-def]
     origins,
     directions,
@@ -91,13 +92,15 @@ def choose(  # type: ignore[no-untyped-def]
     resolution,
     chosen,
     counts,
+    first_ray,
+    last_ray,
 ):
     """Mark the candidates to keep, chosen (r, slots) uint8, and count them, (r,).
 
     rays (9, r): norm, knee, low, span, start, stop, band0, band1, shift, see twin.sample.Course; count (r,) int32; ends
     (2, r, slots) or (2, r, 0); kept: flat uint8 grid, or empty.
     """
-    for ray in prange(count.size):
+    for ray in range(first_ray, last_ray):
         ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         knee, low, span = rays[1, ray], rays[2, ray], rays[3, ray]
@@ -122,7 +125,7 @@ def choose(  # type: ignore[no-untyped-def]
         counts[ray] = found
 
 
-@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def fill(  # type: ignore[no-untyped-def]
     origins,
     directions,
@@ -142,9 +145,11 @@ def fill(  # type: ignore[no-untyped-def]
     s1,
     u,
     table,
+    first_ray,
+    last_ray,
 ):
-    """Write the chosen candidates, packed, and the padding behind them; u is (3, m)."""
-    for ray in prange(count.size):
+    """Write the chosen candidates, packed; u is (3, m)."""
+    for ray in range(first_ray, last_ray):
         ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         norm, knee, low, span = rays[0, ray], rays[1, ray], rays[2, ray], rays[3, ray]
@@ -166,21 +171,16 @@ def fill(  # type: ignore[no-untyped-def]
             ray_of[at], t[at], dt_m[at], s0[at], s1[at] = ray, middle, (t1 - t0) * norm, a, b
             u[0, at], u[1, at], u[2, at], table[at] = warp(ox + middle * dx, oy + middle * dy, oz + middle * dz, kind)
             at += 1
-    used = offsets[-1]
-    for i in prange(t.size - used):
-        ray_of[used + i], table[used + i] = -1, 0
-        t[used + i], dt_m[used + i], s0[used + i], s1[used + i] = ZERO, ZERO, ZERO, ZERO
-        u[0, used + i], u[1, used + i], u[2, used + i] = ZERO, ZERO, ZERO
 
 
-@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def trace(origins, directions, first_m, last_m, kind, resolution, grid):  # type: ignore[no-untyped-def]
+@compiled(error_model="numpy")
+def trace(origins, directions, first_m, last_m, kind, resolution, grid, first_ray, last_ray):  # type: ignore[no-untyped-def]
     """Set the cells (flat uint8 grid) that rays pass between depths first_m and last_m (r,), half a cell a step.
 
     Threads may set the same cell at the same time: to the same value.
     """
     side = np.float32((2 if kind == BOX else 4) / resolution)
-    for ray in prange(first_m.size):
+    for ray in range(first_ray, last_ray):
         ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
         dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
         speed = np.sqrt(dx * dx + dy * dy + dz * dz)

@@ -1,15 +1,15 @@
-"""The field's two networks on CPUs with matrix tiles: a chunk of samples goes through all layers in the core's cache.
+"""The field's two networks on CPUs: a chunk of samples goes through all layers in the core's cache.
 
 Activations are words of two bfloat16, rows 2j and 2j + 1 of 16 samples side by side: (groups of 16 samples, row pairs,
 16). That is what the grid writes and what a tile product reads; products and their sums are float32. The backward
 pass computes the chunk's forward pass again rather than keep it. Row pairs are padded with zeros to a multiple of 16.
+Every kind of CPU rounds at the same places, those of nerf/twin/field.py with `half`; only its products differ.
 """
 
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
 
 from nerf.kernels.lanes import (
     exponential,
@@ -26,28 +26,31 @@ from nerf.kernels.lanes import (
     transpose,
     where_nonzero,
 )
-from nerf.kernels.tiles import configure, release, tile_load, tile_product, tile_store, tile_zero
+from nerf.kernels.products import OPERAND, TILE, begin, end, product, product_added, store_operand
+from priors.compiled import compiled
 
 Words = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.float32]
-Bytes = npt.NDArray[np.uint8]
+Operands = npt.NDArray[np.int32] | npt.NDArray[np.float32]
+"""Tiles as the left side of a product: words of two bfloat16, or two float32 for each."""
 GROUPS = 16  # of 16 samples in a chunk; a multiple of 4
-PARTS = 32  # the samples' parts, whose weight gradients are added in order, whatever the number of threads
-TILE = 256
+WORDS = 1 if OPERAND is np.int32 else 2
+"""Numbers of an operand for a word."""
+PARTS = 32  # the samples' parts, whose weight gradients are added in order, whoever did them
 
 # Arguments of compiled functions are wrapped, np.int64(1): a bare literal would have them compiled once more.
 
 
 class Net(NamedTuple):
-    """Weights as tiles: (out / 16, in / 32) of 16 x 16 words of two bfloat16, flat, padded with zeros."""
+    """Weights as tiles: (out / 16, in / 32) of 16 x 16 pairs, flat, padded with zeros; bfloat16 or rounded to it."""
 
     tiles: int
     """Rows of tiles of a hidden layer: its width / 16."""
-    density0: Words
-    density1: Words
-    colour0: Words
-    colour1: Words
-    colour2: Words
+    density0: Operands
+    density1: Operands
+    colour0: Operands
+    colour1: Operands
+    colour2: Operands
 
 
 class Totals(NamedTuple):
@@ -82,13 +85,13 @@ class Work(NamedTuple):
     last: Words
     d_one: Words
     d_two: Words
-    left: Words
+    left: Operands
     right: Words
     sums: Numbers
     triples: Words
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _aligned(count, kind):  # type: ignore[no-untyped-def]
     """Return zeros that start at a cache line."""
     array = np.zeros(count + 16, dtype=kind)
@@ -96,32 +99,14 @@ def _aligned(count, kind):  # type: ignore[no-untyped-def]
     return array[start : start + count]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _multiply(weights, tile, depth, x, group, sums):  # type: ignore[no-untyped-def]
     """Multiply a row of `depth` weight tiles with 4 groups of samples: sums (4, 16 outputs, 16 samples)."""
-    tile_zero(0)
-    tile_zero(1)
-    tile_zero(2)
-    tile_zero(3)
     step = depth * TILE
-    for k in range(depth):
-        tile_load(4, weights, tile * step + k * TILE)
-        place = group * step + k * TILE
-        tile_load(5, x, place)
-        tile_product(0, 4, 5)
-        tile_load(6, x, place + step)
-        tile_product(1, 4, 6)
-        tile_load(7, x, place + 2 * step)
-        tile_product(2, 4, 7)
-        tile_load(5, x, place + 3 * step)
-        tile_product(3, 4, 5)
-    tile_store(0, sums, 0)
-    tile_store(1, sums, TILE)
-    tile_store(2, sums, 2 * TILE)
-    tile_store(3, sums, 3 * TILE)
+    product(sums, np.int64(0), weights, tile * step, x, group * step, step, depth, np.int64(4))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _rectified(weights, tiles, depth, x, out, groups, sums):  # type: ignore[no-untyped-def]
     """out = max(weights x, 0)."""
     zero = floats(0.0)
@@ -137,7 +122,7 @@ def _rectified(weights, tiles, depth, x, out, groups, sums):  # type: ignore[no-
                     store(out, place + 16 * j, pack(low, high))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _returned(weights, tiles, depth, d_out, x, d_x, groups, sums):  # type: ignore[no-untyped-def]
     """d_x = weights^T d_out where x, which was rectified, is not 0; `weights` are the transpose's tiles."""
     step = (tiles + 1) // 2 * TILE
@@ -153,45 +138,39 @@ def _returned(weights, tiles, depth, d_out, x, d_x, groups, sums):  # type: igno
                     store(d_x, place + 16 * j, pack(low, high))
 
 
-@njit(cache=True, nogil=True)
-def _pair_samples(x, depth, tile, group, out, place):  # type: ignore[no-untyped-def]
-    """Write 16 rows of 2 groups as words of two samples, lane s of one and of the other: (16 rows, 16)."""
-    first = group * depth * TILE + tile * 128
-    second = first + depth * TILE
-    for j in range(8):
-        one, two = load_ints(x, first + 16 * j), load_ints(x, second + 16 * j)
-        store(out, place + 32 * j, (one & ints(0xFFFF)) | (two << ints(16)))
-        store(out, place + 32 * j + 16, (one >> ints(16)) | (two & ints(-65536)))
+@compiled
+def _pair_samples(x, depth, tile, group, row):  # type: ignore[no-untyped-def]
+    """Return rows 2 row and 2 row + 1 of 16, of 2 groups, as words of two samples: lane s of one and of the other."""
+    place = group * depth * TILE + tile * 128 + 16 * row
+    one, two = load_ints(x, place), load_ints(x, place + depth * TILE)
+    return (one & ints(0xFFFF)) | (two << ints(16)), (one >> ints(16)) | (two & ints(-65536))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _accumulate(d_out, tiles, x, depth, groups, left, right, total):  # type: ignore[no-untyped-def]
     """total += d_out x^T: tiles (out / 16, in / 16) of 16 x 16 float32."""
-    pairs = groups // 2
+    pairs, columns = groups // 2, 2 * depth
     for tile in range(tiles):
-        for p in range(pairs):
-            _pair_samples(d_out, (tiles + 1) // 2, tile, 2 * p, left, (tile * pairs + p) * TILE)
-    for tile in range(2 * depth):
         for p in range(pairs):
             place = (tile * pairs + p) * TILE
-            _pair_samples(x, depth, tile, 2 * p, right, place)
+            for row in range(8):
+                even, odd = _pair_samples(d_out, (tiles + 1) // 2, tile, 2 * p, row)
+                store_operand(left, place + 32 * row, even)
+                store_operand(left, place + 32 * row + 16, odd)
+    for tile in range(columns):
+        for p in range(pairs):
+            place = (tile * pairs + p) * TILE
+            for row in range(8):
+                even, odd = _pair_samples(x, depth, tile, 2 * p, row)
+                store(right, place + 32 * row, even)
+                store(right, place + 32 * row + 16, odd)
             transpose(right, place, place)
+    step = pairs * TILE
     for tile in range(tiles):
-        for column in range(0, 2 * depth, 2):
-            place = (tile * 2 * depth + column) * TILE
-            tile_load(0, total, place)
-            tile_load(1, total, place + TILE)
-            for p in range(pairs):
-                tile_load(2, left, (tile * pairs + p) * TILE)
-                tile_load(3, right, (column * pairs + p) * TILE)
-                tile_product(0, 2, 3)
-                tile_load(4, right, ((column + 1) * pairs + p) * TILE)
-                tile_product(1, 2, 4)
-            tile_store(0, total, place)
-            tile_store(1, total, place + TILE)
+        product_added(total, tile * columns * TILE, left, tile * step, right, np.int64(0), step, pairs, columns)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _densities(weights, depth, hidden, seen, groups, initial, sums, sigma, first):  # type: ignore[no-untyped-def]
     """Write densities, and the geometry to the upper half of the colour's input."""
     for group in range(0, groups, 4):
@@ -204,7 +183,7 @@ def _densities(weights, depth, hidden, seen, groups, initial, sums, sigma, first
                 store(seen, (group + g) * TILE + 128 + 16 * j, pack(low, high))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _colours(weights, depth, hidden, groups, sums, rgb, first):  # type: ignore[no-untyped-def]
     """Write colours (m, 3): the sigmoid of the last layer."""
     one, zero = floats(1.0), floats(0.0)
@@ -219,7 +198,7 @@ def _colours(weights, depth, hidden, groups, sums, rgb, first):  # type: ignore[
                     rgb[start + 3 * lane + channel] = sums[place + lane]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _forward(net, asked, initial, first, groups, work, sigma, rgb, target):  # type: ignore[no-untyped-def]
     """Take a chunk through both networks; results go to `target` on, activations stay in `work`."""
     depth = (net.tiles + 1) // 2
@@ -238,7 +217,7 @@ def _forward(net, asked, initial, first, groups, work, sigma, rgb, target):  # t
         _colours(net.colour2, depth, work.third, groups, work.sums, rgb, target)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _colours_back(net, back, work, total, d_rgb, rgb, first, groups):  # type: ignore[no-untyped-def]
     """Take the gradient of a chunk's colours back to the first layer that only colour has; `rgb` is the chunk's own."""
     depth = (net.tiles + 1) // 2
@@ -258,7 +237,7 @@ def _colours_back(net, back, work, total, d_rgb, rgb, first, groups):  # type: i
     _accumulate(work.d_two, net.tiles, work.seen, np.int64(1), groups, work.left, work.right, total.colour0)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups):  # type: ignore[no-untyped-def]
     """Write the gradient of the first network's outputs: of the geometry, from colour, and of the logit."""
     depth = (net.tiles + 1) // 2
@@ -277,7 +256,7 @@ def _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups):  #
                 store(work.last, (group + g) * TILE + 16 * j, pack(low, high))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _features_back(net, back, work, first, groups, d_features):  # type: ignore[no-untyped-def]
     """Write the gradient of the features, (levels, m)."""
     depth = (net.tiles + 1) // 2
@@ -291,7 +270,7 @@ def _features_back(net, back, work, first, groups, d_features):  # type: ignore[
                 store(d_features[level], first + 16 * (group + g), pack(low, high))
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _workspace(tiles):  # type: ignore[no-untyped-def]
     """Return a thread's room for a chunk."""
     wide = (tiles + 1) // 2 * GROUPS * TILE
@@ -305,73 +284,56 @@ def _workspace(tiles):  # type: ignore[no-untyped-def]
         last=_aligned(narrow, np.int32),
         d_one=_aligned(wide, np.int32),
         d_two=_aligned(wide, np.int32),
-        left=_aligned(wide, np.int32),
+        left=_aligned(wide * WORDS, OPERAND),
         right=_aligned(wide, np.int32),
         sums=_aligned(4 * TILE, np.float32),
         triples=np.arange(0, 48, 3).astype(np.int32),
     )
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def forward(net: Net, asked: Asked, initial: float, config: Bytes, sigma: Numbers, rgb: Numbers, threads: int) -> None:
-    """Write densities (m,) and, if there is a basis, colours (3 m,); m is a multiple of 64."""
-    count = len(sigma)
-    stretch = (count // 64 + PARTS - 1) // PARTS * 64
-    for thread in prange(threads):
-        configure(config)
-        work = _workspace(net.tiles)
-        for part in range(thread, PARTS, threads):
-            last = min(count, (part + 1) * stretch)
-            for first in range(part * stretch, last, 16 * GROUPS):
-                groups = min(GROUPS, (last - first) // 16)
-                _forward(net, asked, initial, first, groups, work, sigma, rgb, first)
-        release()
+@compiled
+def forward(net: Net, asked: Asked, initial: float, sigma: Numbers, rgb: Numbers, first: int, last: int) -> None:
+    """Write densities (m,) and, if there is a basis, colours (3 m,) of samples first to last, multiples of 64."""
+    begin()
+    work = _workspace(net.tiles)
+    for start in range(first, last, 16 * GROUPS):
+        groups = min(GROUPS, (last - start) // 16)
+        _forward(net, asked, initial, start, groups, work, sigma, rgb, start)
+    end()
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@compiled
 def backward(
     net: Net,
     back: Net,
     asked: Asked,
     initial: float,
-    config: Bytes,
     d_sigma: Numbers,
     d_rgb: Numbers,
     d_features: Words,
-    totals: Totals,
-    threads: int,
+    total: Totals,
+    first: int,
+    last: int,
 ) -> None:
-    """Write the features' gradient (levels, m) and every part's gradient of the weights; `back`: the transposes.
+    """Write the gradient of the features (levels, m) of samples first to last, and add that of the weights to `total`.
 
-    totals: zeros, (PARTS, words of the layer's tiles).
+    `back`: the transposes of `net`. The gradient's sum goes chunk by chunk: other ends, another rounding.
     """
-    count = len(d_sigma)
-    stretch = (count // 64 + PARTS - 1) // PARTS * 64
+    begin()
+    work = _workspace(net.tiles)
+    sigma = np.empty(16 * GROUPS, dtype=np.float32)
+    rgb = np.empty(48 * GROUPS, dtype=np.float32)
     depth = (net.tiles + 1) // 2
-    for thread in prange(threads):
-        configure(config)
-        work = _workspace(net.tiles)
-        sigma = np.empty(16 * GROUPS, dtype=np.float32)
-        rgb = np.empty(48 * GROUPS, dtype=np.float32)
-        for part in range(thread, PARTS, threads):
-            total = Totals(
-                totals.density0[part],
-                totals.density1[part],
-                totals.colour0[part],
-                totals.colour1[part],
-                totals.colour2[part],
-            )
-            last = min(count, (part + 1) * stretch)
-            for first in range(part * stretch, last, 16 * GROUPS):
-                groups = min(GROUPS, (last - first) // 16)
-                _forward(net, asked, initial, first, groups, work, sigma, rgb, np.int64(0))
-                coloured = asked.basis.size > 0
-                if coloured:
-                    work.last[:] = 0
-                    _colours_back(net, back, work, total, d_rgb, rgb, first, groups)
-                _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups)
-                _accumulate(work.last, np.int64(1), work.first, depth, groups, work.left, work.right, total.density1)
-                _returned(back.density1, net.tiles, np.int64(1), work.last, work.first, work.d_one, groups, work.sums)
-                _accumulate(work.d_one, net.tiles, work.x, np.int64(1), groups, work.left, work.right, total.density0)
-                _features_back(net, back, work, first, groups, d_features)
-        release()
+    coloured = asked.basis.size > 0
+    for start in range(first, last, 16 * GROUPS):
+        groups = min(GROUPS, (last - start) // 16)
+        _forward(net, asked, initial, start, groups, work, sigma, rgb, np.int64(0))
+        if coloured:
+            work.last[:] = 0
+            _colours_back(net, back, work, total, d_rgb, rgb, start, groups)
+        _geometry_back(net, back, work, d_sigma, sigma, coloured, start, groups)
+        _accumulate(work.last, np.int64(1), work.first, depth, groups, work.left, work.right, total.density1)
+        _returned(back.density1, net.tiles, np.int64(1), work.last, work.first, work.d_one, groups, work.sums)
+        _accumulate(work.d_one, net.tiles, work.x, np.int64(1), groups, work.left, work.right, total.density0)
+        _features_back(net, back, work, start, groups, d_features)
+    end()

@@ -1,4 +1,6 @@
-"""The renderer on the CPU: tensors to the compiled loops and back, without copies."""
+"""The renderer on the CPU: tensors to the compiled loops and back, without copies; rays are tasks of the pool."""
+
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -6,6 +8,7 @@ from torch import Tensor
 from nerf.kernels import composite
 from nerf.render import OPACITY_FLOOR, Gradients, Rendered
 from nerf.samples import Samples
+from priors import threads
 
 
 def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
@@ -15,7 +18,8 @@ def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendere
     out = Rendered(torch.empty(rays, 3), each[0], each[1], each[2], torch.empty_like(sigma))
     filled = (out.rgb, out.depth_m, out.median_m, out.transmittance, out.weights)
     arrays = (samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky)
-    composite.forward(*map(_view, arrays), OPACITY_FLOOR, *map(_view, filled))
+    _run(composite.forward, rays, (*arrays, OPACITY_FLOOR), filled)
+    out.weights[samples.used :] = 0
     return out
 
 
@@ -27,7 +31,9 @@ def backward(
     arrays = (samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky)
     made = (rendered.depth_m, rendered.transmittance, rendered.weights)
     given = (gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau)
-    composite.backward(*map(_view, arrays), OPACITY_FLOOR, *map(_view, (*made, *given, *found)))
+    _run(composite.backward, len(sky), (*arrays, OPACITY_FLOOR, *made, *given), found)
+    found[0][samples.used :] = 0
+    found[1][samples.used :] = 0
     return found
 
 
@@ -36,8 +42,8 @@ def kl(
 ) -> Tensor:
     """Return the KL loss (r,), add its gradient to d_tau (m,)."""
     loss = torch.empty_like(prior_m)
-    arrays = (samples.offsets, sigma, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale, loss, d_tau)
-    composite.kl(*map(_view, arrays))
+    arrays = (samples.offsets, sigma, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale)
+    _run(composite.kl, len(scale), arrays, (loss, d_tau))
     return loss
 
 
@@ -52,16 +58,16 @@ def sight(
 ) -> Tensor:
     """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
     loss = torch.empty_like(prior_m)
-    arrays = (samples.offsets, weights, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale, loss, d_weights)
-    composite.sight(*map(_view, arrays))
+    arrays = (samples.offsets, weights, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale)
+    _run(composite.sight, len(scale), arrays, (loss, d_weights))
     return loss
 
 
 def distortion(samples: Samples, weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:
     """Return the distortion (r,), add its gradient to d_weights (m,)."""
     loss = torch.zeros(len(scale))
-    arrays = (samples.offsets, weights, samples.s0, samples.s1, scale, loss, d_weights)
-    composite.distortion(*map(_view, arrays))
+    arrays = (samples.offsets, weights, samples.s0, samples.s1, scale)
+    _run(composite.distortion, len(scale), arrays, (loss, d_weights))
     return loss
 
 
@@ -71,11 +77,14 @@ def interlevel(
     """Return the interlevel loss (r,) and its gradient by the coarse weights (m,)."""
     loss, d_coarse = torch.empty(len(scale)), torch.empty_like(coarse_weights)
     fine = (samples.offsets, weights, samples.s0, samples.s1)
-    arrays = (*fine, coarse.offsets, coarse_weights, coarse.s0, coarse.s1, scale, loss, d_coarse)
-    composite.interlevel(*map(_view, arrays))
+    arrays = (*fine, coarse.offsets, coarse_weights, coarse.s0, coarse.s1, scale)
+    _run(composite.interlevel, len(scale), arrays, (loss, d_coarse))
+    d_coarse[coarse.used :] = 0
     return loss, d_coarse
 
 
-def _view(tensor: Tensor):  # type: ignore[no-untyped-def]
-    """Return the tensor's memory as an array; the loops want it contiguous."""
-    return tensor.contiguous().numpy()
+def _run(loop: Any, rays: int, given: tuple[Any, ...], filled: tuple[Tensor, ...]) -> None:
+    """Run a loop over rays; what it reads is made contiguous, what it fills is filled where it lies."""
+    views = [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in given]
+    views += [tensor.numpy() for tensor in filled]
+    threads.over(rays, lambda first, last: loop(*views, first, last))

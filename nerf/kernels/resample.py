@@ -1,10 +1,11 @@
 """Compiled inverse of a histogram's cumulated mass: nerf/twin/sample.py, resample, in one pass a ray."""
 
 import numpy as np
-from numba import njit, prange
+
+from priors.compiled import compiled
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _widen(s0, s1, weights, margin, edges, mass, gap):  # type: ignore[no-untyped-def]
     """Fill the edges (2b,) of the widened bins, and of the spaces between them mass and gap (2b - 1,)."""
     bins = s0.size
@@ -35,7 +36,7 @@ def _widen(s0, s1, weights, margin, edges, mass, gap):  # type: ignore[no-untype
         gap[k] = not covered
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@compiled(error_model="numpy")
 def _anneal(mass, gap, edges, power, cumulated):  # type: ignore[no-untyped-def]
     """Raise the masses to a power and cumulate them (2b,) up to 1; widths instead where there is no mass."""
     total = 0.0
@@ -54,7 +55,7 @@ def _anneal(mass, gap, edges, power, cumulated):  # type: ignore[no-untyped-def]
         cumulated[k] /= last
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@compiled(error_model="numpy", inline="always")
 def _reach(cumulated, edges, target, space):  # type: ignore[no-untyped-def]
     """Return where the mass reaches the target and in which space, looking from `space` on."""
     while space < cumulated.size - 2 and cumulated[space + 1] <= target:
@@ -64,11 +65,11 @@ def _reach(cumulated, edges, target, space):  # type: ignore[no-untyped-def]
     return edges[space] + min(max(share, 0.0), 1.0) * (edges[space + 1] - edges[space]), space
 
 
-@njit(parallel=True, cache=True, nogil=True, error_model="numpy")
-def invert(offsets, s0, s1, weights, targets, margin, power, ends):  # type: ignore[no-untyped-def]
-    """Set ends (2, r, n) in s from a packed histogram and targets (r, n + 1), ascending; see the twin."""
+@compiled(error_model="numpy")
+def invert(offsets, s0, s1, weights, targets, margin, power, ends, first_ray, last_ray):  # type: ignore[no-untyped-def]
+    """Set ends (2, r, n) in s of some rays from a packed histogram and targets (r, n + 1), ascending; see the twin."""
     count = targets.shape[1] - 1
-    for ray in prange(offsets.size - 1):
+    for ray in range(first_ray, last_ray):
         own = slice(offsets[ray], offsets[ray + 1])
         bins = offsets[ray + 1] - offsets[ray]
         if bins == 0:

@@ -1,95 +1,113 @@
-"""The matrix tiles of CPUs with AMX, for compiled code: eight registers, 0 to 7, of 16 rows of 64 bytes.
+"""Products of 16 x 16 tiles on matrix tiles, C = A B: what both small networks consist of.
 
-The product adds C (16 x 16 float32) += A (16 x 32 bfloat16) B (32 x 16 bfloat16), where a row of B holds two rows of
-the matrix side by side: word (k, n) is (b[2k, n], b[2k + 1, n]). Tile numbers are literals. See Intel's "Architecture
-Instruction Set Extensions Programming Reference", chapter 3.
+A tile of A is 16 outputs x 16 words of two bfloat16 (32 inputs), of B 16 words (32 inputs) x 16 samples, of C 16
+outputs x 16 samples of float32; each is 256 words of a flat array. Where ROADPRIOR_CPU says amx_emulated, the one
+instruction that multiplies is replaced by ordinary code that does the same, and the tile registers by memory.
 """
 
-from typing import Any
-
 import numpy as np
-import torch
-from llvmlite import ir
-from numba import types
-from numba.extending import intrinsic
 
-from nerf.kernels.lanes import _call, _place
+from nerf.kernels.lanes import floats, fma, high_float, ints, load_floats, load_int, load_ints, low_float, store
+from nerf.kernels.x86 import configuration, configure, release, tile_load, tile_product, tile_store, tile_zero
+from priors.compiled import compiled
+from priors.cpu import mode
 
-_I8, _I64 = ir.IntType(8), ir.IntType(64)
-
-
-def available() -> bool:
-    """Say whether this CPU has tiles and this process may use them; asks the kernel for leave."""
-    return bool(torch.cpu._is_amx_tile_supported() and torch.cpu._init_amx())
+TILE = 256
+OPERAND = np.int32
+EMULATED = mode() == "amx_emulated"
+_SETUP = configuration()
 
 
-def configuration() -> "np.ndarray[Any, np.dtype[np.uint8]]":
-    """Return what `configure` takes: eight tiles of 16 rows of 64 bytes."""
-    config = np.zeros(64, dtype=np.uint8)
-    config[0] = 1  # the palette
-    config[16:32].view(np.uint16)[:] = 64
-    config[48:56] = 16
-    return config
+@compiled
+def _emulated(c, start, a, first, x, place):  # type: ignore[no-untyped-def]
+    """Add the product of two tiles: what TDPBF16PS does, word by word."""
+    for output in range(16):
+        total = load_floats(c, start + 16 * output)
+        for k in range(16):
+            weights = ints(np.int32(load_int(a, first + 16 * output + k)))
+            words = load_ints(x, place + 16 * k)
+            total = fma(low_float(weights), low_float(words), total)
+            total = fma(high_float(weights), high_float(words), total)
+        store(c, start + 16 * output, total)
 
 
-@intrinsic
-def configure(typing: Any, config: Any) -> Any:
-    """Set up this thread's tiles; `release` them afterwards."""
-
-    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        place = _place(context, builder, sig.args[0], args[0], _I64(0), _I8)
-        _call(builder, "llvm.x86.ldtilecfg", ir.VoidType(), [place])
-        return context.get_dummy_value()
-
-    return types.void(config), gen
+@compiled
+def _emulated_product(c, start, a, first, x, place, step, depth, groups):  # type: ignore[no-untyped-def]
+    for group in range(groups):
+        for k in range(depth):
+            _emulated(c, start + group * TILE, a, first + k * TILE, x, place + group * step + k * TILE)
 
 
-@intrinsic
-def release(typing: Any) -> Any:
+@compiled
+def product(c, start, a, first, x, place, step, depth, groups):  # type: ignore[no-untyped-def]
+    """C = A B for `depth` tiles of A, from index `first` on, and `groups` groups of x, `step` words apart.
+
+    C has `groups` tiles, from index `start` on. groups: a multiple of 4.
+    """
+    if EMULATED:
+        for i in range(start, start + groups * TILE, 16):
+            store(c, i, floats(0.0))
+        _emulated_product(c, start, a, first, x, place, step, depth, groups)
+        return
+    for group in range(0, groups, 4):
+        tile_zero(0)
+        tile_zero(1)
+        tile_zero(2)
+        tile_zero(3)
+        for k in range(depth):
+            tile_load(4, a, first + k * TILE)
+            at = place + group * step + k * TILE
+            tile_load(5, x, at)
+            tile_product(0, 4, 5)
+            tile_load(6, x, at + step)
+            tile_product(1, 4, 6)
+            tile_load(7, x, at + 2 * step)
+            tile_product(2, 4, 7)
+            tile_load(5, x, at + 3 * step)
+            tile_product(3, 4, 5)
+        to = start + group * TILE
+        tile_store(0, c, to)
+        tile_store(1, c, to + TILE)
+        tile_store(2, c, to + 2 * TILE)
+        tile_store(3, c, to + 3 * TILE)
+
+
+@compiled
+def product_added(c, start, a, first, x, place, step, depth, groups):  # type: ignore[no-untyped-def]
+    """C += A B; arguments as `product` has them, but groups: a multiple of 2."""
+    if EMULATED:
+        _emulated_product(c, start, a, first, x, place, step, depth, groups)
+        return
+    for group in range(0, groups, 2):
+        to = start + group * TILE
+        tile_load(0, c, to)
+        tile_load(1, c, to + TILE)
+        for k in range(depth):
+            at = place + group * step + k * TILE
+            tile_load(2, a, first + k * TILE)
+            tile_load(3, x, at)
+            tile_product(0, 2, 3)
+            tile_load(4, x, at + step)
+            tile_product(1, 2, 4)
+        tile_store(0, c, to)
+        tile_store(1, c, to + TILE)
+
+
+@compiled
+def store_operand(a, place, words):  # type: ignore[no-untyped-def]
+    """Write 16 words of two bfloat16 to A, from word `place` on."""
+    store(a, place, words)
+
+
+@compiled
+def begin():  # type: ignore[no-untyped-def]
+    """Set up this thread's tiles."""
+    if not EMULATED:
+        configure(_SETUP)
+
+
+@compiled
+def end():  # type: ignore[no-untyped-def]
     """Give this thread's tiles back."""
-
-    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        _call(builder, "llvm.x86.tilerelease", ir.VoidType(), [])
-        return context.get_dummy_value()
-
-    return types.void(), gen
-
-
-@intrinsic(prefer_literal=True)
-def tile_zero(typing: Any, tile: Any) -> Any:
-    """Clear a tile."""
-
-    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        _call(builder, "llvm.x86.tilezero", ir.VoidType(), [_I8(tile.literal_value)])
-        return context.get_dummy_value()
-
-    return types.void(tile), gen
-
-
-def _mover(name: str, doc: str) -> Any:
-    def move(typing: Any, tile: Any, array: Any, index: Any) -> Any:
-        def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            place = _place(context, builder, sig.args[1], args[1], args[2], _I8)
-            _call(builder, name, ir.VoidType(), [_I8(tile.literal_value), place, _I64(64)])
-            return context.get_dummy_value()
-
-        return types.void(tile, array, types.int64), gen
-
-    move.__doc__ = doc
-    return intrinsic(prefer_literal=True)(move)
-
-
-tile_load = _mover("llvm.x86.tileloadd64", "Fill a tile with 256 words of a flat array, from an index on.")
-tile_store = _mover("llvm.x86.tilestored64", "Write a tile to 256 words of a flat array, from an index on.")
-
-
-@intrinsic(prefer_literal=True)
-def tile_product(typing: Any, total: Any, left: Any, right: Any) -> Any:
-    """Add the product of two tiles of bfloat16 to one of float32."""
-
-    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-        numbers = [_I8(tile.literal_value) for tile in (total, left, right)]
-        _call(builder, "llvm.x86.tdpbf16ps", ir.VoidType(), numbers)
-        return context.get_dummy_value()
-
-    return types.void(total, left, right), gen
+    if not EMULATED:
+        release()

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from nerf.kernels import plain, triton_adam, triton_encode, triton_mlp
+from nerf.kernels.words import flat, words
 from nerf.twin.adam import BETA_MEAN, BETA_SQUARE
 from nerf.twin.field import Layers
 
@@ -27,7 +28,7 @@ _NUMBERS = 1024
 def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: "GridConfig") -> Tensor:
     """Return features (levels, m, 2), bfloat16; weights bfloat16, sums float32."""
     features = torch.empty(config.levels, len(u), 2, dtype=torch.bfloat16, device=u.device)
-    _launch(triton_encode.encode, u, table, footprint, _words(weights), _words(features), config)
+    _launch(triton_encode.encode, u, table, footprint, words(weights), words(features), config)
     return features
 
 
@@ -36,8 +37,7 @@ def spread(
 ) -> None:
     """Set d_weights to the gradient of the weights; float32 additions in no fixed order."""
     d_weights.zero_()
-    words = _words(d_features.to(torch.bfloat16))
-    _launch(triton_encode.spread, u, table, footprint, words, d_weights, config)
+    _launch(triton_encode.spread, u, table, footprint, words(flat(d_features)), d_weights, config)
 
 
 def density(features: Tensor, layers: Layers, initial: float) -> Tensor:
@@ -120,10 +120,10 @@ def _backward(
     trained = layers[:2] if harmonics is None else layers
     sizes = [layer.numel() for layer in trained]
     sums = torch.empty(programs, sum(sizes), device=features.device)
-    d_features = torch.empty_like(features, dtype=torch.bfloat16)
+    d_features = torch.empty(features.shape, dtype=torch.bfloat16, device=features.device)
     triton_mlp.backward[programs,](
         *_inputs(features, harmonics, ray, layers), initial, d_sigma.contiguous(),
-        d_sigma if d_rgb is None else d_rgb.contiguous(), _words(d_features), sums, count, TILE=tile, num_warps=8,
+        d_sigma if d_rgb is None else d_rgb.contiguous(), words(d_features), sums, count, TILE=tile, num_warps=8,
         num_stages=1, **_constants(features, layers, harmonics),
     )  # fmt: skip
     parts = zip(sums.sum(0).split(sizes), trained, strict=True)
@@ -133,20 +133,15 @@ def _backward(
 
 def _inputs(features: Tensor, harmonics: Tensor | None, ray: Tensor | None, layers: Layers) -> list[Tensor]:
     """Return the kernels' first arguments; anything stands in for what they do not read."""
-    words = _words(features.to(torch.bfloat16))
-    seen = [words, words] if harmonics is None or ray is None else [harmonics.contiguous(), ray]
-    return [words, *seen, *layers]
+    given = words(flat(features))
+    seen = [given, given] if harmonics is None or ray is None else [harmonics.contiguous(), ray.contiguous()]
+    return [given, *seen, *layers]
 
 
 def _constants(features: Tensor, layers: Layers, harmonics: Tensor | None) -> dict[str, int | bool]:
     neurons = layers.density0.shape[0]
     width = 1 << (neurons - 1).bit_length()
     return {"LEVELS": features.shape[0], "NEURONS": neurons, "WIDTH": width, "COLOUR": harmonics is not None}
-
-
-def _words(pairs: Tensor) -> Tensor:
-    """View pairs of bfloat16, (..., 2), as 32-bit words (...)."""
-    return pairs.contiguous().view(torch.int32).squeeze(-1)
 
 
 @functools.cache

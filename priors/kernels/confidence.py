@@ -2,12 +2,13 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
+from priors.compiled import compiled
 from priors.types import FloatMap
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@compiled(parallel=True)
 def find_hidden(disparity_px: FloatMap, margin_px: float, hidden: npt.NDArray[np.bool_]) -> None:
     """Tell which pixels of a left view (height, width) the right one cannot see; see nets/confidence.is_hidden."""
     height, width = disparity_px.shape
@@ -19,7 +20,7 @@ def find_hidden(disparity_px: FloatMap, margin_px: float, hidden: npt.NDArray[np
             nearest = min(nearest, lands)
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def interpolate(values: FloatMap, knots: FloatMap, heights: FloatMap, out: FloatMap) -> None:
     """Write a table's value for each of values (n,): linear between rising knots (k,), the last one's beyond.
 

@@ -1,13 +1,14 @@
 """Convex upsampling in one pass over memory; the readable twin is nets/upsample.py in plain torch."""
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
 from priors.types import FloatMap
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def upsample(values: FloatMap, logits: Bits, factor: int, largest: float, out: FloatMap) -> None:
     """Write averages of values (b, c, h, w) by softmax(logits (b, h, w, factor^2 * 9)): (b, c, h * factor, ...).
 

@@ -1,15 +1,16 @@
 """Completion's last step in one pass over memory; the readable twin is in nets/mffnet.py in plain torch."""
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
 from priors.types import FloatMap
 
 LARGEST_LOGIT = np.float32(40)
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def correct(raw: Bits, log_fill: FloatMap, largest_change: float, depth: FloatMap, scale: FloatMap) -> None:
     """Mix two changes of a pre-fill, and apply the mix.
 
@@ -41,7 +42,7 @@ def correct(raw: Bits, log_fill: FloatMap, largest_change: float, depth: FloatMa
         depth[b, y] = change
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _place(x: int, y: int, what: int) -> int:
     """Return where a row of cells (w / 2, 16) holds something of pixel (x, y): the order of torch's pixel_shuffle."""
     return 16 * (x // 2) + 4 * what + 2 * (y % 2) + x % 2

@@ -2,12 +2,13 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from priors.compiled import compiled
 
 Map = npt.NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def link_columns(
     grey: npt.NDArray[np.uint8], disparity_px: Map, slope_px: float, edge_grey: float, edge_px: float
 ) -> Map:
@@ -32,7 +33,7 @@ def link_columns(
     return links
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def diffuse_columns(first: Map, second: Map, links: Map, strength: float) -> None:
     """Solve (I + strength L) u = map for two maps (height, width) in place, L the columns' weighted Laplacian.
 

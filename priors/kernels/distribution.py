@@ -3,8 +3,9 @@
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
 from priors.types import FloatMap
 
@@ -12,7 +13,7 @@ STRETCH = 1024
 """Pixels that a thread takes at a time."""
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def expect(logits: Bits, position_px: FloatMap, window: int, mean: FloatMap, sigma: FloatMap) -> None:
     """Write mean and deviation (n,) of the distributions that logits (n, planes), in 16 or 32 bits, describe.
 

@@ -4,10 +4,12 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
+
+from priors.compiled import compiled
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@compiled(parallel=True)
 def unshuffle(images: npt.NDArray[np.uint8], table: npt.NDArray[Any], factor: int, out: npt.NDArray[Any]) -> None:
     """Write table[image] with factor x factor pixels as channels: (b, h, w, c) -> (b, rows, columns, c * factor^2).
 

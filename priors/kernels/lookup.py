@@ -5,12 +5,13 @@ independent, so threads share nothing. Without gradients, kernels/volume.py does
 """
 
 import numpy as np
-from numba import njit, prange
+from numba import prange
 
+from priors.compiled import compiled
 from priors.types import FloatMap
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def match(left: FloatMap, right: FloatMap, disparity_px: FloatMap, groups: int, out: FloatMap) -> None:
     """Write the products of left (rows, w, c) and right at disparities (rows, w, planes): (rows, w, planes, groups)."""
     rows, width, channels = left.shape
@@ -37,7 +38,7 @@ def match(left: FloatMap, right: FloatMap, disparity_px: FloatMap, groups: int, 
                     out[row, x, plane, group] = total
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def match_backward(
     left: FloatMap,
     right: FloatMap,

@@ -2,12 +2,13 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from priors.compiled import compiled
 
 Map = npt.NDArray[np.float32]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def fill_occlusions(
     disparity_px: Map, step_px: float, widest: float, margin_px: float, occluded: float
 ) -> tuple[Map, Map]:

@@ -2,14 +2,15 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from priors.compiled import compiled
 
 Map = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.uint8]
 NEITHER = np.float32(-1)
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def resize(
     values: Map, flags: Flags, top: int, left: int, window: tuple[int, int], size: tuple[int, int], step: float
 ) -> tuple[Map, Flags]:
@@ -54,7 +55,7 @@ def resize(
     return out, kinds
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def see_right(disparity_px: Map, step: float) -> tuple[Map, Map]:
     """Find what the right view sees of the surfaces that the left view's disparities describe; the nearest wins.
 
@@ -85,7 +86,7 @@ def see_right(disparity_px: Map, step: float) -> tuple[Map, Map]:
     return column, seen_px
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _draw(column: Map, seen_px: Map, start: float, length: float, first_px: float, slope: float) -> None:
     """Draw the piece of a row that begins at column `start`; on it the disparity is first + slope * way."""
     begin = start - first_px
@@ -98,7 +99,7 @@ def _draw(column: Map, seen_px: Map, start: float, length: float, first_px: floa
             column[u] = start + way
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def paint(image: npt.NDArray[np.uint8], column: Map, seen_px: Map, step: float, out: npt.NDArray[np.uint8]) -> None:
     """Look the left view's colours up, between its pixels by a cubic (Catmull-Rom) where four are of one surface.
 

@@ -8,7 +8,8 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from priors.compiled import compiled
 
 Ints: TypeAlias = npt.NDArray[np.int32]
 Floats: TypeAlias = npt.NDArray[np.float32]
@@ -33,7 +34,7 @@ def gather(sparse_m: Floats) -> Samples:
     return np.searchsorted(row, np.arange(height + 1)).astype(np.int32), row, column, ONE / depth_m
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def thin(row: Ints, column: Ints, inverse: Floats, step: int, height: int, width: int) -> Floats:
     """Return the sparse map (height, width), metres, that is step times smaller: the nearest sample of every cell."""
     sparse_m = np.zeros((height, width), np.float32)
@@ -44,7 +45,7 @@ def thin(row: Ints, column: Ints, inverse: Floats, step: int, height: int, width
     return sparse_m
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def keep(row_start: Ints, row: Ints, column: Ints, inverse: Floats, kept: npt.NDArray[np.bool_]) -> Samples:
     """List the samples where kept (n,) is true."""
     count = np.zeros_like(row_start)
@@ -53,7 +54,7 @@ def keep(row_start: Ints, row: Ints, column: Ints, inverse: Floats, kept: npt.ND
     return np.cumsum(count).astype(np.int32), row[kept], column[kept], inverse[kept]
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def gaps(row_start: Ints, row: Ints, column: Ints, reach: int, step: int) -> tuple[float, float]:
     """Measure the spacing (down, across), pixels: median distance to the nearest sample in a 90 degree cone.
 
@@ -78,7 +79,7 @@ def gaps(row_start: Ints, row: Ints, column: Ints, reach: int, step: int) -> tup
     return np.median(down), np.median(across)
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(fastmath=True, error_model="numpy")
 def covered(
     row_start: Ints,
     row: Ints,
@@ -147,7 +148,7 @@ def covered(
     return likely
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(fastmath=True, error_model="numpy")
 def fit_plane(
     value: Floats,
     below: Floats,
@@ -180,7 +181,7 @@ def fit_plane(
     return (vy * xx - vx * xy) / det, (vx * yy - vy * xy) / det
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(fastmath=True, error_model="numpy")
 def slopes(
     row_start: Ints,
     row: Ints,

@@ -2,12 +2,13 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
+from priors.compiled import compiled
 from priors.types import FloatMap, Image, Mask
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@compiled(parallel=True)
 def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap]:
     """Average blocks of factor x factor pixels of an RGB image; blocks at the right and bottom edge may be smaller.
 
@@ -41,7 +42,7 @@ def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap
     return colour, spread_
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: float) -> FloatMap:
     """Spread costs along the cheapest 8-connected paths: a step costs slope * max(0, |change of colour| - slack).
 
@@ -77,7 +78,7 @@ def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: 
     return cost
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@compiled(parallel=True)
 def grow_all(starts: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: float) -> FloatMap:
     """Spread several costs (n, height, width) as `grow` does one."""
     costs = np.empty_like(starts)
@@ -86,7 +87,7 @@ def grow_all(starts: FloatMap, colour: npt.NDArray[np.float32], slope: float, sl
     return costs
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@compiled(parallel=True)
 def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArray[np.float32]:
     """Solve the guided filter's 3x3 systems by Cramer's rule.
 
@@ -116,7 +117,7 @@ def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArra
     return model
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap) -> None:
     """Write a dense layer's answer weights.T @ values + bias (outputs, n) for values (inputs, n).
 
@@ -140,7 +141,7 @@ def dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap) ->
                     line[n] += a * first[n]
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> Mask:
     """Evaluate a blockwise linear model at every pixel: a . colour + b > 0.5, coefficients interpolated bilinearly.
 

@@ -15,7 +15,8 @@ from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from priors.compiled import compiled
 
 LANES = 16
 NEAR = np.float32(0.05)  # cost below which cheaper is not heavier
@@ -27,7 +28,7 @@ Floats: TypeAlias = npt.NDArray[np.float32]
 Bytes: TypeAlias = npt.NDArray[np.uint8]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(fastmath=True, error_model="numpy")
 def choose(
     row: Ints,
     column: Ints,
@@ -67,7 +68,7 @@ def choose(
                     costs[p] = here if better else costs[p]
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(fastmath=True, error_model="numpy")
 def blend(
     row: Ints,
     column: Ints,
@@ -114,7 +115,7 @@ def blend(
                     bottoms[p] += weight
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(fastmath=True, error_model="numpy")
 def settle(
     cost: Floats, top: Floats, bottom: Floats, pad: int, coarse: Floats, sure: Floats, coarse_pad: int, step: int
 ) -> None:
@@ -150,7 +151,7 @@ def settle(
             costs[x] = ONE / (ONE + costs[x])
 
 
-@njit(cache=True, nogil=True, fastmath=True, error_model="numpy")
+@compiled(fastmath=True, error_model="numpy")
 def finish(
     crisp: Floats,
     soft: Floats,

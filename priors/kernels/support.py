@@ -2,10 +2,11 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from priors.compiled import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def support(depth_m: npt.NDArray[np.float32], reach: int, steady: float) -> npt.NDArray[np.float32]:
     """Return how many of the pixels around each value (height, width; inf = none) have values, less where they differ.
 
@@ -41,7 +42,7 @@ def support(depth_m: npt.NDArray[np.float32], reach: int, steady: float) -> npt.
     return out
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def _add(
     values: npt.NDArray[np.float32],
     sign: float,

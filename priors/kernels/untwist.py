@@ -4,12 +4,13 @@ import math
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from priors.compiled import compiled
 
 SERIES_BELOW = 0.01  # rad^2: there the series below is exact to 1e-9, and a sweep rarely turns by more
 
 
-@njit(cache=True, nogil=True, inline="always")
+@compiled(inline="always")
 def move_point(x: float, y: float, z: float, t: float, velocity: npt.NDArray[np.float64]) -> tuple[float, float, float]:
     """Return Exp(t * angular) p + t * linear; velocity (6,) is linear, then angular (Rodrigues' formula)."""
     a, b, c = t * velocity[3], t * velocity[4], t * velocity[5]
@@ -31,7 +32,7 @@ def move_point(x: float, y: float, z: float, t: float, velocity: npt.NDArray[np.
     )
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def untwist_points(
     xyz_m: npt.NDArray[np.float32], time_s: npt.NDArray[np.float32], velocity: npt.NDArray[np.float64]
 ) -> npt.NDArray[np.float32]:

@@ -5,10 +5,11 @@ Fused loops: over whole images, numpy's temporary arrays cost more than the arit
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from priors.compiled import compiled
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def deny(
     depth_m: npt.NDArray[np.float32],
     matched_px: npt.NDArray[np.float32],
@@ -41,7 +42,7 @@ def deny(
     return denied
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def hide(
     depth_m: npt.NDArray[np.float32],
     nearest_m: npt.NDArray[np.float32],
@@ -64,7 +65,7 @@ def hide(
             hidden[row, column] |= (max(above, below) < limit) & (limit < np.inf)  # no branch: it vectorises
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def free_until(nearest_m: npt.NDArray[np.float32], height: int, share: float) -> npt.NDArray[np.float32]:
     """Return the depth (height, width) up to which space is free, where there are samples both above and below; else 0.
 

@@ -7,8 +7,9 @@ loops are short and straight, so that they become vectors.
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit, prange
+from numba import prange
 
+from priors.compiled import compiled
 from priors.kernels.floats import Bits, narrow, widen
 from priors.types import FloatMap
 
@@ -16,7 +17,7 @@ CHUNK = 2048
 """Products that are held at a time: 8 KB, which the fastest cache has."""
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def match(left: Bits, right: Bits, disparity_px: FloatMap, groups: int, also: FloatMap, out: Bits) -> None:
     """Match features (rows, w, c) at disparities (rows, w, planes), for 3D convolutions.
 
@@ -35,7 +36,7 @@ def match(left: Bits, right: Bits, disparity_px: FloatMap, groups: int, also: Fl
         narrow(line.reshape(-1), out[row].reshape(-1))
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def match_beside(
     before: Bits, left: Bits, right: Bits, disparity_px: FloatMap, groups: int, after: FloatMap, out: Bits
 ) -> None:
@@ -60,14 +61,14 @@ def match_beside(
                 out[row, x, first + k] = bits[x, k]
 
 
-@njit(cache=True, nogil=True, fastmath=True, parallel=True)
+@compiled(fastmath=True, parallel=True)
 def units(features: Bits, groups: int, out: FloatMap) -> None:
     """Write features (rows, w, c) with every group of channels of length 1."""
     for row in prange(features.shape[0]):
         out[row] = unit(features[row], groups)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _match_row(
     left: Bits, right: Bits, disparity_px: FloatMap, groups: int, steps: tuple[int, int], out: FloatMap
 ) -> None:
@@ -98,7 +99,7 @@ def _match_row(
                     line[plane * steps[0] + group * steps[1]] = product[n + group]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _place(
     disparity_px: FloatMap, start: int, width: int, column: npt.NDArray[np.int32], share: FloatMap, inside: FloatMap
 ) -> None:
@@ -115,7 +116,7 @@ def _place(
             inside[x * planes + plane] = np.float32(asked == held)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _multiply(
     ours: FloatMap,
     planes: int,
@@ -137,7 +138,7 @@ def _multiply(
                 out[k] = mine[k] * (near[k] + part * (far[k] - near[k])) * keep
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _add_up(values: FloatMap, count: int, size: int) -> None:
     """Add every `size` (a power of two) of the first `count` values to one, in place: halves, quarters, ..."""
     while size > 1:
@@ -146,7 +147,7 @@ def _add_up(values: FloatMap, count: int, size: int) -> None:
             values[n] = values[2 * n] + values[2 * n + 1]
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def unit(features: Bits, groups: int) -> FloatMap:
     """Return a row's features (w, c) as float32, every group of channels of length 1."""
     width, channels = features.shape
@@ -164,7 +165,7 @@ def unit(features: Bits, groups: int) -> FloatMap:
     return flat.reshape((width, channels))
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@compiled(fastmath=True)
 def _repeat(values: FloatMap, count: int, size: int) -> FloatMap:
     """Return each of the first `count` values `size` (a power of two) times: pairs, pairs of pairs, ..."""
     given, written, spare = values, np.empty(count * size, np.float32), np.empty(count * size, np.float32)

@@ -2,12 +2,12 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
+from priors.compiled import compiled
 from priors.kernels.untwist import move_point
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def splat(
     xyz_m: npt.NDArray[np.float32],
     time_s: npt.NDArray[np.float32],
@@ -75,7 +75,7 @@ def splat(
             sources[row, column] = source
 
 
-@njit(cache=True, nogil=True)
+@compiled
 def _outside_planes(P: npt.NDArray[np.float64], width: int) -> npt.NDArray[np.float64]:
     """Return three unit planes (3, 4), positive outside the view: behind it, left of it, right of it."""
     planes = np.empty((3, 4))

@@ -1,0 +1,116 @@
+"""Kernels: functions that numba compiles for one thread, once a machine; what was compiled is kept for the user.
+
+    @compiled
+    def fill(...): ...
+
+The cache lies in $ROADPRIOR_CACHE, else in the user's cache folder, else (no home, nothing writable there) in the
+temporary one: never in the installation, which may be read-only. It has a folder for each CPU mode and state of the
+kernels' source: numba itself would not notice that a function called from another file has changed.
+"""
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
+
+from priors.cpu import mode
+
+FAST = {"reassoc", "contract", "nsz", "arcp"}
+"""Floating-point freedoms of most kernels; neither nnan nor ninf: an overflow must stay visible."""
+
+on_compile: list[Callable[[str], None]] = []
+"""Called with a function's name before it is compiled; the commands tell the user why they wait."""
+
+
+def compiled(function: Any = None, **options: Any) -> Any:
+    """Decorate a function to be compiled at its first call, without Python's lock, and kept; `options`: numba's."""
+    if function is None:
+        return lambda function: compiled(function, **options)
+    made = njit(function, nogil=True, **options)
+    made._cache = _Cache(made.py_func) if _folder() else NullCache()
+    return made
+
+
+@cache
+def _folder() -> Path | None:
+    """Return the folder of what was compiled, that can be written; None where there is none."""
+    name = f"{mode()}-{_digest()}"
+    for place in _places():
+        folder = place / name
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            tempfile.TemporaryFile(dir=folder).close()
+        except OSError:
+            continue
+        return folder
+    return None
+
+
+def _places() -> list[Path]:
+    if "ROADPRIOR_CACHE" in os.environ:
+        return [Path(os.environ["ROADPRIOR_CACHE"])]
+    places = [Path(tempfile.gettempdir()) / f"roadprior-kernels-{os.getuid() if hasattr(os, 'getuid') else ''}"]
+    home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    try:
+        return [(Path(home) if home else Path.home() / ".cache") / "roadprior" / "kernels", *places]
+    except RuntimeError:  # no home
+        return places
+
+
+@cache
+def _digest() -> str:
+    """Hash the source of all kernels, and of what they are made of."""
+    root = Path(__file__).resolve().parent
+    files = [*root.glob("kernels/*.py"), *root.parent.glob("nerf/kernels/*.py"), Path(__file__)]
+    sums = hashlib.sha256(f"{sys.version} ".encode())
+    for file in sorted(files):
+        sums.update(file.read_bytes())
+    return sums.hexdigest()[:12]
+
+
+class _Locator(_CacheLocator):  # type: ignore[misc]
+    """Where numba keeps a function."""
+
+    def __init__(self, function: Any, file: str) -> None:
+        self._py_file, self._line = file, function.__code__.co_firstlineno
+
+    def get_cache_path(self) -> str:
+        return str(_folder())
+
+    def get_source_stamp(self) -> str:
+        return _digest()
+
+    def get_disambiguator(self) -> str:
+        return f"{Path(self._py_file).parent.parent.name}-{self._line}"
+
+    def ensure_cache_path(self) -> None:
+        """It is there, see `_folder`."""
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> "_Locator":
+        return cls(py_func, py_file)
+
+
+class _Impl(CompileResultCacheImpl):  # type: ignore[misc]
+    _locator_classes = (_Locator,)
+
+
+class _Cache(FunctionCache):  # type: ignore[misc]
+    """Numba's cache of a function, that tells when something is not in it."""
+
+    _impl_class = _Impl
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Return what was compiled for these types, or None after saying so."""
+        found = super().load_overload(sig, target_context)
+        if found is None:
+            for tell in on_compile:
+                tell(self._name)
+        return found

@@ -1,0 +1,162 @@
+"""Threads that sleep while they wait: our kernels run as tasks of one pool, and the libraries' own threads are held.
+
+A kernel is compiled for one thread, lets go of Python's lock and does one task of a call. Tasks are taken one after
+the other by whoever is free: a thread that another process keeps from its core takes fewer, and nobody spins. (OpenMP
+divides the work beforehand, so that all wait for the slowest; its threads and OpenBLAS's burn the cores as they do.)
+"""
+
+import itertools
+import os
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from queue import SimpleQueue
+from typing import TYPE_CHECKING
+
+from priors.errors import DataError
+
+if TYPE_CHECKING:
+    from threadpoolctl import ThreadpoolController
+
+Work = Callable[[int], object]
+"""What a thread does for the task of a number."""
+
+_asked: int | None = None
+_pool: list["SimpleQueue[_Job]"] = []
+_growing = threading.Lock()
+
+
+def available() -> int:
+    """Return how many cores this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def count() -> int:
+    """Return how many threads a call uses: what `limited` says, else what PyTorch is set to, else every core."""
+    if _asked is not None:
+        return _asked
+    return int(sys.modules["torch"].get_num_threads()) if "torch" in sys.modules else available()
+
+
+@contextmanager
+def limited(threads: int | None) -> Iterator[None]:
+    """Let every call inside use so many threads, ours and the libraries'; None: as many as outside.
+
+    OpenBLAS gets one: its threads spin for a tenth of a second after each product, and our products are small.
+    Raises DataError for less than one.
+    """
+    global _asked
+    if threads is not None and threads < 1:
+        raise DataError(f"expected 1 thread or more, found {threads}")
+    before, torch = _asked, sys.modules.get("torch")
+    theirs = None if torch is None else torch.get_num_threads()
+    with _blas().limit(limits=1, user_api="blas"):
+        try:
+            if threads is not None:
+                _asked = threads
+                if torch is not None:
+                    torch.set_num_threads(threads)
+            yield
+        finally:
+            _asked = before
+            if torch is not None:
+                torch.set_num_threads(theirs)
+
+
+@cache
+def _blas() -> "ThreadpoolController":
+    """Return the handle of the matrix libraries that are loaded by now; looking for them takes milliseconds."""
+    import numpy  # noqa: F401
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
+
+
+def run(tasks: int, work: Work) -> None:
+    """Call work(0) ... work(tasks - 1), each once, on the calling thread and the pool's; raises what a task raised.
+
+    What comes out must not depend on which thread does which task, nor on their order.
+    """
+    helpers = min(count(), tasks) - 1
+    if helpers < 1:
+        for task in range(tasks):
+            work(task)
+        return
+    job = _Job(tasks, work)
+    for queue in _helpers(helpers):
+        queue.put(job)
+    job.help()
+    job.wait()
+
+
+def stretches(total: int, block: int = 1, each: int = 4) -> list[tuple[int, int]]:
+    """Cut [0, total) into about `each` stretches a thread, (first, last) each, whose ends are multiples of `block`."""
+    blocks = -(-total // block)
+    parts = max(1, min(blocks, each * count() if count() > 1 else 1))
+    ends = [blocks * part // parts * block for part in range(parts)] + [total]
+    return [(first, last) for first, last in itertools.pairwise(ends) if last > first]
+
+
+def over(total: int, work: Callable[[int, int], object], block: int = 1, each: int = 4) -> None:
+    """Call work(first, last) for stretches that cover [0, total)."""
+    parts = stretches(total, block, each)
+    run(len(parts), lambda task: work(*parts[task]))
+
+
+class _Job:
+    """The tasks of one call, and who is still at one."""
+
+    def __init__(self, tasks: int, work: Work) -> None:
+        self._tasks, self._work = tasks, work
+        self._tickets, self._ends = itertools.count(), itertools.count(1)  # next() of these is one step for all threads
+        self._over = threading.Lock()
+        self._over.acquire()
+        self._fault: BaseException | None = None
+
+    def help(self) -> None:
+        """Do tasks until none is left to take."""
+        while (task := next(self._tickets)) < self._tasks:
+            try:
+                if self._fault is None:
+                    self._work(task)
+            except BaseException as fault:  # the caller raises it again
+                self._fault = fault
+            if next(self._ends) == self._tasks:
+                self._over.release()
+
+    def wait(self) -> None:
+        """Sleep until the last task is done."""
+        self._over.acquire()
+        if self._fault is not None:
+            raise self._fault
+
+
+def _helpers(wanted: int) -> list["SimpleQueue[_Job]"]:
+    """Return the queues of so many helping threads; starts those that are not there yet."""
+    if len(_pool) < wanted:
+        with _growing:
+            while len(_pool) < wanted:
+                queue: SimpleQueue[_Job] = SimpleQueue()
+                threading.Thread(target=_serve, args=(queue,), name=f"roadprior-{len(_pool) + 1}", daemon=True).start()
+                _pool.append(queue)
+    return _pool[:wanted]
+
+
+def _serve(queue: "SimpleQueue[_Job]") -> None:
+    while True:
+        queue.get().help()
+
+
+def _forget() -> None:
+    """Threads do not live on in a forked process: it starts its own."""
+    global _growing
+    _pool.clear()
+    _growing = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget)
