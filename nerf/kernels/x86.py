@@ -2,8 +2,8 @@
 
 A product of tiles adds C (16 x 16 float32) += A (16 x 32 bfloat16) B (32 x 16 bfloat16), where a row of B holds two
 rows of the matrix side by side: word (k, n) is (b[2k, n], b[2k + 1, n]). There are eight tile registers, 0 to 7, of 16
-rows of 64 bytes; their numbers are literals. See Intel's "Architecture Instruction Set Extensions Programming Reference",
-chapter 3. The dot product does the same for one row of A at a time.
+rows of 64 bytes; their numbers are literals. See Intel's "Architecture Instruction Set Extensions Programming
+Reference", chapter 3. The dot product does the same for one row of A at a time.
 """
 
 from typing import Any
