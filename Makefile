@@ -6,7 +6,7 @@ DEMO ?= demo
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 
-.PHONY: demo test slow lint types bench clean
+.PHONY: demo test modes slow lint types bench clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -26,6 +26,15 @@ demo: $(VENV)/.installed  ## the embedded street: written, turned into three pri
 
 test: $(VENV)/.dev  ## the quick tests
 	$(BIN)/python -m pytest -m "not slow"
+
+# What is compiled or chosen by the CPU's mode: fields, their fit, networks.
+MODE_TESTS := $(addprefix tests/test_,nerf_mlp.py nerf_field.py nerf_grid.py nerf_render.py nerf_sample.py \
+	nerf_occupancy.py short_fit.py nets.py nets_runtime.py mffnet.py stereo_model.py)
+
+modes: $(VENV)/.dev  ## the same in every CPU mode that this CPU can stand in for; what was compiled is kept
+	for mode in $$($(BIN)/python -c "from priors import cpu; print(*cpu.supported()[1:])"); do \
+		echo "ROADPRIOR_CPU=$$mode"; \
+		ROADPRIOR_CPU=$$mode $(BIN)/python -m pytest -q -m "not slow" $(MODE_TESTS) || exit 1; done
 
 slow: $(VENV)/.dev  ## the slow ones
 	$(BIN)/python -m pytest -m slow

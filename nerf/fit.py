@@ -17,6 +17,7 @@ from nerf.occupancy import Occupancy
 from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.scene import Scene
 from nerf.space import Space
+from priors import threads
 
 SAVE_EVERY_S = 30.0
 OCCUPANCY_EVERY = 16
@@ -91,6 +92,7 @@ def start(scene: Scene, config: FitConfig, device: str = "cpu") -> Model:
     return Model(config.model, space, occupancy, config.seed, device)
 
 
+@threads.quiet()
 def fit(
     scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda status: None, device: str = "cpu"
 ) -> Model:

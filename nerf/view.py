@@ -7,6 +7,7 @@ from nerf.model import Model
 from nerf.pictures import Render, RenderedView
 from nerf.rays import Rays
 from nerf.scene import view_rays
+from priors import threads
 from priors.types import Camera, Matrix
 
 PIECE = 8192
@@ -16,6 +17,7 @@ PIECE = 8192
 def renderer(model: Model) -> Render:
     """Return the function that renders a model from a pose."""
 
+    @threads.quiet()
     def render(T_world_cam: Matrix, camera: Camera) -> RenderedView:
         rays = view_rays(camera, T_world_cam).to(model.device)
         pieces = [model.look(_part(rays, first)) for first in range(0, len(rays), PIECE)]

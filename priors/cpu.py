@@ -62,7 +62,7 @@ Without features of its own numba adds the host's to the CPU it is told.
 """
 
 _NEEDS: dict[Mode, tuple[str, ...]] = {
-    "amx": ("amx-tile", "amx-bf16", "avx512f", "avx512bw", "avx512vl"),
+    "amx": ("amx-tile", "amx-bf16", "avx512bf16", "avx512f", "avx512bw", "avx512vl"),
     "avx512_bf16": ("avx512bf16", "avx512f", "avx512bw", "avx512dq", "avx512vl"),
     "avx512": ("avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"),
     "avx2": ("avx2", "fma", "f16c", "bmi2"),
@@ -96,7 +96,7 @@ def mode() -> Mode:
         raise DataError(f"{VARIABLE}={asked}: expected one of {', '.join(get_args(Mode))}")
     if asked not in supported():
         raise DataError(f"{VARIABLE}={asked}: this CPU has not got it: choose one of {', '.join(supported())}")
-    return cast(Mode, asked)
+    return asked
 
 
 @cache

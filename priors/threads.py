@@ -67,6 +67,19 @@ def limited(threads: int | None) -> Iterator[None]:
                 torch.set_num_threads(theirs)
 
 
+@contextmanager
+def quiet() -> Iterator[None]:
+    """Let the libraries work on the calling thread alone inside, and our pool on as many as outside.
+
+    For work of our kernels and many small operations between them: PyTorch's threads would spin after each of those
+    and keep the pool's from the cores. Serves as a decorator too: `@threads.quiet()`.
+    """
+    with limited(count()):
+        if "torch" in sys.modules:
+            sys.modules["torch"].set_num_threads(1)
+        yield
+
+
 @cache
 def _blas() -> "ThreadpoolController":
     """Return the handle of the matrix libraries that are loaded by now; looking for them takes milliseconds."""

@@ -4,9 +4,12 @@ import resource
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from factories import write_argoverse_stereo, write_argoverse_tracking, write_folder, write_odometry, write_raw
+
+from priors import cpu
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 DATA = SHARED / "data"
@@ -76,3 +79,12 @@ def full_disk() -> FullDisk:
             resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
     return full
+
+
+def pytest_terminal_summary(terminalreporter: Any) -> None:
+    """Say on what kind of CPU the tests ran: what is green on one was wrong on another."""
+    others = [mode for mode in cpu.supported() if mode != cpu.mode()]
+    how = "all that this CPU has" if cpu.mode() == cpu.supported()[0] else f"held down by {cpu.VARIABLE}"
+    if cpu.mode() == "amx_emulated":
+        how = "the tiles' one product is emulated"
+    terminalreporter.write_line(f"CPU mode {cpu.mode()}: {how}; `make modes` runs {', '.join(others)} here")

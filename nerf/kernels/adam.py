@@ -48,7 +48,7 @@ def adam(
         half = np.zeros(16, dtype=np.int16)
         padded[0, :tail], padded[1, :tail] = weights[rest:last], gradient[rest:last]
         padded[2, :tail], padded[3, :tail] = mean[rest:last], square[rest:last]
-        _sixteen(padded[0], padded[1], padded[2], padded[3], half, 0, settings)
+        _sixteen(padded[0], padded[1], padded[2], padded[3], half, np.int64(0), settings)
         weights[rest:last], mean[rest:last], square[rest:last] = padded[0, :tail], padded[2, :tail], padded[3, :tail]
         if copy.size:
             copy[rest:last] = half[:tail]

@@ -147,7 +147,7 @@ def _asked(features: Tensor, harmonics: Tensor | None, ray: Tensor | None) -> An
 
 def _net(layers: Layers) -> Any:
     """Round the layers and cut them into tiles of 16 outputs and 32 inputs, as the products take them."""
-    from nerf.kernels import perceptron
+    from nerf.kernels import perceptron, products
 
     width = layers.colour1.shape[0]
     tiled = []
@@ -156,7 +156,7 @@ def _net(layers: Layers) -> Any:
         full = torch.zeros(rows, columns, dtype=torch.bfloat16)
         full[: layer.shape[0], : layer.shape[1]] = layer
         parts = full.view(rows // 16, 16, columns // 32, 32).permute(0, 2, 1, 3).reshape(-1, 2)
-        tiled.append(_words(parts) if perceptron.OPERAND is np.int32 else parts.float().numpy().reshape(-1))
+        tiled.append(_words(parts) if products.OPERAND is np.int32 else parts.float().numpy().reshape(-1))
     return perceptron.Net(width // 16, *tiled)
 
 

@@ -25,7 +25,7 @@ OUTPUTS, GROUPS = {"avx512_bf16": (8, 2), "avx512": (8, 2), "avx2": (2, 2)}.get(
 
 Groups divide 2: a layer's gradient may have no more columns of tiles.
 """
-OPERAND = np.int32 if PAIRED else np.float32
+OPERAND: type[np.int32] | type[np.float32] = np.int32 if PAIRED else np.float32
 """The type of A: a word of two bfloat16, or two float32."""
 
 _I64 = ir.IntType(64)
@@ -68,7 +68,7 @@ def _added(builder: Any, total: Any, row: list[Any], words: Any) -> Any:
 def _blocker(adds: bool) -> Any:
     """Make the product of OUTPUTS rows and GROUPS groups: one loop over the inputs, all sums in registers."""
 
-    def block(typing: Any, c: Any, start: Any, a: Any, first: Any, x: Any, place: Any, step: Any, depth: Any) -> Any:
+    def block(typing: Any, c: Any, start: Any, a: Any, first: Any, x: Any, place: Any, step: Any, pairs: Any) -> Any:
         def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
             def address(number: int, index: Any, kind: Any) -> Any:
                 return _place(context, builder, sig.args[number], args[number], index, kind)
@@ -101,7 +101,7 @@ def _blocker(adds: bool) -> Any:
             after = builder.add(pair, _I64(1))
             for phi, value in zip([pair, *sums], [after, *found], strict=True):
                 phi.add_incoming(value, builder.block)
-            builder.cbranch(builder.icmp_signed("<", after, builder.shl(args[7], _I64(4))), loop, end)
+            builder.cbranch(builder.icmp_signed("<", after, args[7]), loop, end)
             builder.position_at_end(end)
             for target, value in zip(targets, found, strict=True):
                 builder.store(value, target, align=4)
@@ -118,21 +118,24 @@ _set_block, _add_block = _blocker(adds=False), _blocker(adds=True)
 
 
 @compiled
-def product(c, start, a, first, x, place, step, depth, groups):  # type: ignore[no-untyped-def]
-    """C = A B for `depth` tiles of A, from index `first` on, and `groups` groups of x, `step` words apart."""
+def product(c, start, a, first, x, place, step, pairs, rows, groups):  # type: ignore[no-untyped-def]
+    """C = A B for a row of tiles of A, from index `first` on, and `groups` groups of x, `step` words apart.
+
+    pairs: of inputs, what follows is padding; rows: of C that are asked for.
+    """
     for group in range(0, groups, GROUPS):
-        for output in range(0, 16, OUTPUTS):
+        for output in range(0, rows, OUTPUTS):
             to, row, column = start + group * TILE + 16 * output, first + 16 * output, place + group * step
-            _set_block(c, to, a, row, x, column, step, depth)
+            _set_block(c, to, a, row, x, column, step, pairs)
 
 
 @compiled
-def product_added(c, start, a, first, x, place, step, depth, groups):  # type: ignore[no-untyped-def]
+def product_added(c, start, a, first, x, place, step, pairs, rows, groups):  # type: ignore[no-untyped-def]
     """C += A B; arguments as `product` has them."""
     for group in range(0, groups, GROUPS):
-        for output in range(0, 16, OUTPUTS):
+        for output in range(0, rows, OUTPUTS):
             to, row, column = start + group * TILE + 16 * output, first + 16 * output, place + group * step
-            _add_block(c, to, a, row, x, column, step, depth)
+            _add_block(c, to, a, row, x, column, step, pairs)
 
 
 @compiled

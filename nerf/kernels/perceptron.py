@@ -20,13 +20,12 @@ from nerf.kernels.lanes import (
     larger,
     load_floats,
     load_ints,
-    pack,
     smaller,
     store,
     transpose,
     where_nonzero,
 )
-from nerf.kernels.products import OPERAND, TILE, begin, end, product, product_added, store_operand
+from nerf.kernels.products import OPERAND, TILE, begin, end, pack, product, product_added, store_operand
 from priors.compiled import compiled
 
 Words = npt.NDArray[np.int32]
@@ -100,20 +99,23 @@ def _aligned(count, kind):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _multiply(weights, tile, depth, x, group, sums):  # type: ignore[no-untyped-def]
-    """Multiply a row of `depth` weight tiles with 4 groups of samples: sums (4, 16 outputs, 16 samples)."""
-    step = depth * TILE
-    product(sums, np.int64(0), weights, tile * step, x, group * step, step, depth, np.int64(4))
+def _multiply(weights, tile, pairs, rows, x, group, sums):  # type: ignore[no-untyped-def]
+    """Multiply a row of weight tiles with 4 groups of samples: sums (4, 16 outputs, 16 samples), of which `rows` count.
+
+    pairs: of inputs that are not padding.
+    """
+    step = (pairs + 15) // 16 * TILE
+    product(sums, np.int64(0), weights, tile * step, x, group * step, step, pairs, rows, np.int64(4))
 
 
 @compiled
-def _rectified(weights, tiles, depth, x, out, groups, sums):  # type: ignore[no-untyped-def]
+def _rectified(weights, tiles, pairs, x, out, groups, sums):  # type: ignore[no-untyped-def]
     """out = max(weights x, 0)."""
     zero = floats(0.0)
     step = (tiles + 1) // 2 * TILE
     for group in range(0, groups, 4):
         for tile in range(tiles):
-            _multiply(weights, tile, depth, x, group, sums)
+            _multiply(weights, tile, pairs, np.int64(16), x, group, sums)
             for g in range(4):
                 place = (group + g) * step + tile * 128
                 for j in range(8):
@@ -123,12 +125,12 @@ def _rectified(weights, tiles, depth, x, out, groups, sums):  # type: ignore[no-
 
 
 @compiled
-def _returned(weights, tiles, depth, d_out, x, d_x, groups, sums):  # type: ignore[no-untyped-def]
+def _returned(weights, tiles, pairs, d_out, x, d_x, groups, sums):  # type: ignore[no-untyped-def]
     """d_x = weights^T d_out where x, which was rectified, is not 0; `weights` are the transpose's tiles."""
     step = (tiles + 1) // 2 * TILE
     for group in range(0, groups, 4):
         for tile in range(tiles):
-            _multiply(weights, tile, depth, d_out, group, sums)
+            _multiply(weights, tile, pairs, np.int64(16), d_out, group, sums)
             for g in range(4):
                 place = (group + g) * step + tile * 128
                 for j in range(8):
@@ -147,8 +149,8 @@ def _pair_samples(x, depth, tile, group, row):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _accumulate(d_out, tiles, x, depth, groups, left, right, total):  # type: ignore[no-untyped-def]
-    """total += d_out x^T: tiles (out / 16, in / 16) of 16 x 16 float32."""
+def _accumulate(d_out, tiles, rows, x, depth, groups, left, right, total):  # type: ignore[no-untyped-def]
+    """total += d_out x^T: tiles (out / 16, in / 16) of 16 x 16 float32, of whose outputs `rows` are no padding."""
     pairs, columns = groups // 2, 2 * depth
     for tile in range(tiles):
         for p in range(pairs):
@@ -167,14 +169,15 @@ def _accumulate(d_out, tiles, x, depth, groups, left, right, total):  # type: ig
             transpose(right, place, place)
     step = pairs * TILE
     for tile in range(tiles):
-        product_added(total, tile * columns * TILE, left, tile * step, right, np.int64(0), step, pairs, columns)
+        start = tile * columns * TILE
+        product_added(total, start, left, tile * step, right, np.int64(0), step, 16 * pairs, rows, columns)
 
 
 @compiled
-def _densities(weights, depth, hidden, seen, groups, initial, sums, sigma, first):  # type: ignore[no-untyped-def]
+def _densities(weights, pairs, hidden, seen, groups, initial, sums, sigma, first):  # type: ignore[no-untyped-def]
     """Write densities, and the geometry to the upper half of the colour's input."""
     for group in range(0, groups, 4):
-        _multiply(weights, np.int64(0), depth, hidden, group, sums)
+        _multiply(weights, np.int64(0), pairs, np.int64(16), hidden, group, sums)
         for g in range(4):
             logit = smaller(load_floats(sums, g * TILE), floats(12.0))  # LOGIT_MAX of the twin
             store(sigma, first + 16 * (group + g), exponential(logit) * floats(np.float32(initial)))
@@ -184,11 +187,11 @@ def _densities(weights, depth, hidden, seen, groups, initial, sums, sigma, first
 
 
 @compiled
-def _colours(weights, depth, hidden, groups, sums, rgb, first):  # type: ignore[no-untyped-def]
+def _colours(weights, pairs, hidden, groups, sums, rgb, first):  # type: ignore[no-untyped-def]
     """Write colours (m, 3): the sigmoid of the last layer."""
     one, zero = floats(1.0), floats(0.0)
     for group in range(0, groups, 4):
-        _multiply(weights, np.int64(0), depth, hidden, group, sums)
+        _multiply(weights, np.int64(0), pairs, np.int64(4), hidden, group, sums)
         for g in range(4):
             start = 3 * (first + 16 * (group + g))
             for channel in range(3):
@@ -201,20 +204,20 @@ def _colours(weights, depth, hidden, groups, sums, rgb, first):  # type: ignore[
 @compiled
 def _forward(net, asked, initial, first, groups, work, sigma, rgb, target):  # type: ignore[no-untyped-def]
     """Take a chunk through both networks; results go to `target` on, activations stay in `work`."""
-    depth = (net.tiles + 1) // 2
+    levels, hidden = asked.features.shape[0], 8 * net.tiles  # pairs of inputs
     for group in range(groups):
-        for level in range(asked.features.shape[0]):
+        for level in range(levels):
             store(work.x, group * TILE + 16 * level, load_ints(asked.features[level], first + 16 * group))
-    _rectified(net.density0, net.tiles, np.int64(1), work.x, work.first, groups, work.sums)
-    _densities(net.density1, depth, work.first, work.seen, groups, initial, work.sums, sigma, target)
+    _rectified(net.density0, net.tiles, levels, work.x, work.first, groups, work.sums)
+    _densities(net.density1, hidden, work.first, work.seen, groups, initial, work.sums, sigma, target)
     if asked.basis.size:
         for group in range(groups):
             row = larger(load_ints(asked.ray, first + 16 * group), ints(0)) << ints(3)
             for j in range(8):
                 store(work.seen, group * TILE + 16 * j, gather(asked.basis, np.int64(j), row))
-        _rectified(net.colour0, net.tiles, np.int64(1), work.seen, work.second, groups, work.sums)
-        _rectified(net.colour1, net.tiles, depth, work.second, work.third, groups, work.sums)
-        _colours(net.colour2, depth, work.third, groups, work.sums, rgb, target)
+        _rectified(net.colour0, net.tiles, np.int64(16), work.seen, work.second, groups, work.sums)
+        _rectified(net.colour1, net.tiles, hidden, work.second, work.third, groups, work.sums)
+        _colours(net.colour2, hidden, work.third, groups, work.sums, rgb, target)
 
 
 @compiled
@@ -230,20 +233,21 @@ def _colours_back(net, back, work, total, d_rgb, rgb, first, groups):  # type: i
                 d = from_bits(gather(d_rgb, np.int64(3 * (first + 16 * group) + channel), triples)) * y * (one - y)
                 low, high = (low, d) if channel % 2 else (d, high)
             store(work.last, group * TILE + 16 * j, pack(low, high))
-    _accumulate(work.last, np.int64(1), work.third, depth, groups, work.left, work.right, total.colour2)
-    _returned(back.colour2, net.tiles, np.int64(1), work.last, work.third, work.d_one, groups, work.sums)
-    _accumulate(work.d_one, net.tiles, work.second, depth, groups, work.left, work.right, total.colour1)
-    _returned(back.colour1, net.tiles, depth, work.d_one, work.second, work.d_two, groups, work.sums)
-    _accumulate(work.d_two, net.tiles, work.seen, np.int64(1), groups, work.left, work.right, total.colour0)
+    _accumulate(work.last, np.int64(1), np.int64(4), work.third, depth, groups, work.left, work.right, total.colour2)
+    _returned(back.colour2, net.tiles, np.int64(2), work.last, work.third, work.d_one, groups, work.sums)
+    _accumulate(work.d_one, net.tiles, np.int64(16), work.second, depth, groups, work.left, work.right, total.colour1)
+    _returned(back.colour1, net.tiles, 8 * net.tiles, work.d_one, work.second, work.d_two, groups, work.sums)
+    _accumulate(
+        work.d_two, net.tiles, np.int64(16), work.seen, np.int64(1), groups, work.left, work.right, total.colour0
+    )
 
 
 @compiled
 def _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups):  # type: ignore[no-untyped-def]
     """Write the gradient of the first network's outputs: of the geometry, from colour, and of the logit."""
-    depth = (net.tiles + 1) // 2
     for group in range(0, groups, 4):
         if coloured:
-            _multiply(back.colour0, np.int64(1), depth, work.d_two, group, work.sums)
+            _multiply(back.colour0, np.int64(1), 8 * net.tiles, np.int64(16), work.d_two, group, work.sums)
         else:
             work.sums[:] = 0
         for g in range(4):
@@ -259,11 +263,10 @@ def _geometry_back(net, back, work, d_sigma, sigma, coloured, first, groups):  #
 @compiled
 def _features_back(net, back, work, first, groups, d_features):  # type: ignore[no-untyped-def]
     """Write the gradient of the features, (levels, m)."""
-    depth = (net.tiles + 1) // 2
     for group in range(0, groups, 4):
         for level in range(d_features.shape[0]):
             if level % 8 == 0:
-                _multiply(back.density0, level // 8, depth, work.d_one, group, work.sums)
+                _multiply(back.density0, level // 8, 8 * net.tiles, np.int64(16), work.d_one, group, work.sums)
             for g in range(4):
                 low = load_floats(work.sums, g * TILE + level % 8 * 32)
                 high = load_floats(work.sums, g * TILE + level % 8 * 32 + 16)
@@ -332,8 +335,12 @@ def backward(
             work.last[:] = 0
             _colours_back(net, back, work, total, d_rgb, rgb, start, groups)
         _geometry_back(net, back, work, d_sigma, sigma, coloured, start, groups)
-        _accumulate(work.last, np.int64(1), work.first, depth, groups, work.left, work.right, total.density1)
-        _returned(back.density1, net.tiles, np.int64(1), work.last, work.first, work.d_one, groups, work.sums)
-        _accumulate(work.d_one, net.tiles, work.x, np.int64(1), groups, work.left, work.right, total.density0)
+        _accumulate(
+            work.last, np.int64(1), np.int64(16), work.first, depth, groups, work.left, work.right, total.density1
+        )
+        _returned(back.density1, net.tiles, np.int64(8), work.last, work.first, work.d_one, groups, work.sums)
+        _accumulate(
+            work.d_one, net.tiles, np.int64(16), work.x, np.int64(1), groups, work.left, work.right, total.density0
+        )
         _features_back(net, back, work, start, groups, d_features)
     end()

@@ -1,5 +1,6 @@
 """The products of tiles that this CPU does fastest: `tiles` with matrix tiles, `dots` without."""
 
+from nerf.kernels import lanes
 from priors.cpu import mode
 
 if mode() in ("amx", "amx_emulated"):
@@ -7,4 +8,8 @@ if mode() in ("amx", "amx_emulated"):
 else:
     from nerf.kernels.dots import OPERAND, TILE, begin, end, product, product_added, store_operand
 
-__all__ = ["OPERAND", "TILE", "begin", "end", "product", "product_added", "store_operand"]
+pack = lanes.pack
+if mode() in ("amx", "avx512_bf16"):
+    from nerf.kernels.x86 import pack_fast as pack
+
+__all__ = ["OPERAND", "TILE", "begin", "end", "pack", "product", "product_added", "store_operand"]

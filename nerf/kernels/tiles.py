@@ -13,7 +13,7 @@ from priors.compiled import compiled
 from priors.cpu import mode
 
 TILE = 256
-OPERAND = np.int32
+OPERAND: type[np.int32] | type[np.float32] = np.int32
 EMULATED = mode() == "amx_emulated"
 _SETUP = configuration()
 
@@ -39,11 +39,13 @@ def _emulated_product(c, start, a, first, x, place, step, depth, groups):  # typ
 
 
 @compiled
-def product(c, start, a, first, x, place, step, depth, groups):  # type: ignore[no-untyped-def]
-    """C = A B for `depth` tiles of A, from index `first` on, and `groups` groups of x, `step` words apart.
+def product(c, start, a, first, x, place, step, pairs, rows, groups):  # type: ignore[no-untyped-def]
+    """C = A B for a row of tiles of A, from index `first` on, and `groups` groups of x, `step` words apart.
 
-    C has `groups` tiles, from index `start` on. groups: a multiple of 4.
+    C has `groups` tiles, from index `start` on. pairs: of inputs, what follows is padding; rows: of C that are asked
+    for, the others cost nothing; groups: a multiple of 4.
     """
+    depth = (pairs + 15) // 16
     if EMULATED:
         for i in range(start, start + groups * TILE, 16):
             store(c, i, floats(0.0))
@@ -73,8 +75,9 @@ def product(c, start, a, first, x, place, step, depth, groups):  # type: ignore[
 
 
 @compiled
-def product_added(c, start, a, first, x, place, step, depth, groups):  # type: ignore[no-untyped-def]
+def product_added(c, start, a, first, x, place, step, pairs, rows, groups):  # type: ignore[no-untyped-def]
     """C += A B; arguments as `product` has them, but groups: a multiple of 2."""
+    depth = (pairs + 15) // 16
     if EMULATED:
         _emulated_product(c, start, a, first, x, place, step, depth, groups)
         return
