@@ -7,11 +7,15 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba.core.errors import NumbaError
 
 from nerf.grid import Grid, GridConfig, level_shapes
 from nerf.kernels import cpu
+from nerf.kernels.lanes import load_int
+from nerf.kernels.words import flat, words
 from nerf.twin import encode as twin
 from priors import threads
+from priors.compiled import compiled
 
 CPU = torch.device("cpu")
 CONFIGS = {
@@ -112,6 +116,40 @@ def test_features_are_continuous_across_cells():
         sides = [(line + torch.tensor([step, 0, 0])).clamp(0, 1).float() for step in (-1e-6, 1e-6)]
         one, other = (cpu.encode(u, torch.zeros(16, dtype=torch.int32), None, weights, config).float() for u in sides)
         torch.testing.assert_close(one, other, rtol=2**-7, atol=0.01)
+
+
+def test_gradients_that_lie_elsewhere_in_memory_are_the_same():
+    """Autograd leaves gradients with strides (2, 12, 1): read as flat words they would go to the wrong rows."""
+    config = CONFIGS["usual"]
+    weights, u, table = made(config, count=320)
+    d_features = torch.randn(len(u), config.levels, 2).permute(1, 0, 2)
+    assert not d_features.is_contiguous()
+    one, other = torch.empty(weights.shape), torch.empty(weights.shape)
+    cpu.spread(u, table, None, d_features, config, one)
+    cpu.spread(u, table, None, d_features.contiguous(), config, other)
+    assert torch.equal(one, other) and one.any()
+
+
+@pytest.mark.parametrize(
+    "pairs",
+    [torch.zeros(4, 3, 2).bfloat16().permute(1, 0, 2), torch.zeros(4, 2), torch.zeros(4, 3).bfloat16()],
+    ids=["strides", "float32", "threes"],
+)
+def test_words_are_flat_pairs_of_bfloat16(pairs):
+    with pytest.raises(ValueError, match="expected contiguous pairs of bfloat16, found"):
+        words(pairs)
+    assert words(flat(pairs[..., :2])).is_contiguous()
+
+
+def test_lanes_take_flat_contiguous_arrays_only():
+    @compiled
+    def first(array):
+        return load_int(array, np.int64(0))
+
+    numbers = np.arange(16, dtype=np.int32)
+    assert first(numbers[3:]) == 3
+    with pytest.raises(NumbaError, match="flat contiguous array"):
+        first(numbers[::2])
 
 
 def test_same_bits_whatever_the_threads():
