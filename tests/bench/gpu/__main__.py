@@ -38,6 +38,7 @@ def flags() -> argparse.Namespace:
     parser.add_argument("--parts", nargs="+", choices=[part.name for part in PARTS], help="only these, in this order")
     parser.add_argument("--train", help="the command of the part `train`, instead of the one in training.py")
     parser.add_argument("--part", help=argparse.SUPPRESS)  # in the process of one part
+    parser.add_argument("--deadline", type=float, help=argparse.SUPPRESS)
     parser.add_argument("--scale", type=float, default=1.0, help=argparse.SUPPRESS)
     return parser.parse_args()
 

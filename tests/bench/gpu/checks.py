@@ -44,7 +44,7 @@ def run(options: Namespace) -> None:
 
     note(where="Triton's interpreter" if options.device == "cpu" else "GPU")
     arguments = ["-q", "-p", "no:cacheprovider", "--tb=short", str(CHECKS)]
-    if options.scale < 1:
+    if options.device == "cpu" and options.scale < 1:
         note(left_out=f"all but `{FEW}`: the budget is short")
         arguments += ["-k", FEW]
     if code := pytest.main(arguments, plugins=[Noted()]):

@@ -51,14 +51,14 @@ def make_pack(data: Path, pack: Path) -> int:
     return 0
 
 
-def open_pack(pack: Path) -> "Scene":
-    """Open the packed drive with its prior as a scene, sparse views; the arrays go beside it into the pack."""
+def open_pack(pack: Path, scenes: Path) -> "Scene":
+    """Open the packed drive with its prior as a scene, sparse views; its arrays go into the folder `scenes`."""
     from nerf.scene import open_scene
 
     if not (pack / "pack.json").exists():
         raise SystemExit(f"{pack}: no pack here: make it where the data is (make gpu, or --make-pack)")
     drive = open_drive(pack / "drive")
-    return open_scene(drive, cache.only(pack / "prior"), "sparse", list(range(len(drive))), pack / ".scenes")
+    return open_scene(drive, cache.only(pack / "prior"), "sparse", list(range(len(drive))), scenes)
 
 
 def truth_path(pack: Path, frame_id: str) -> Path:

@@ -39,7 +39,7 @@ def find(name: str) -> Part:
 
 def note(**figures: Any) -> None:
     """Print figures as a line that the runner understands and keeps, whatever happens after it."""
-    print(json.dumps(figures), flush=True)
+    print("\n" + json.dumps(figures), flush=True)  # pytest leaves its dots in a line without an end
 
 
 def run_here(options: Namespace) -> None:

@@ -47,7 +47,7 @@ class Book:
 
     def log(self, line: str) -> None:
         """Keep a line that a part printed."""
-        if self._log.tell() < LOG_BYTES:
+        if line.strip() and self._log.tell() < LOG_BYTES:
             self._log.write(line)
             self._log.flush()
 
@@ -72,8 +72,7 @@ def run(options: Namespace) -> int:
     book = Book(options.out, record)
     for part in chosen:
         left = budget - (time.perf_counter() - started)
-        # The last part gets all that is left; each other one its share, and never more than is left.
-        limit = left if part is chosen[-1] else min(left, part.seconds * budget / whole)
+        limit = left if part is chosen[-1] else min(left, _share_s(part, budget / whole))
         entry = record["parts"][part.name] = {"budget_s": round(limit, 1), "state": "running", "figures": {}}
         book.write()
         why = _obstacle(part, record, options.device, limit)
@@ -85,6 +84,11 @@ def run(options: Namespace) -> int:
         print(f"{part.name:8} {entry['state']:9} {entry['seconds']:6.1f} s of {limit:.0f}  {why}".rstrip(), flush=True)
     print((options.out / "summary.md").read_text())
     return int(any(entry["state"] in ("failed", "left out") for entry in record["parts"].values()))
+
+
+def _share_s(part: Part, scale: float) -> float:
+    """Return a part's seconds; the first one is needed by all others and is not scaled. The last gets what is left."""
+    return part.seconds if part.name == "machine" else part.seconds * scale
 
 
 def _obstacle(part: Part, record: dict[str, Any], device: str, left_s: float) -> str:
@@ -106,7 +110,7 @@ def _run_part(part: Part, options: Namespace, limit: float, entry: dict[str, Any
     start = time.perf_counter()
     command = [sys.executable, str(Path(__file__).with_name("__main__.py")), "--part", part.name]
     command += ["--pack", str(options.pack), "--out", str(options.out), "--device", options.device]
-    command += ["--budget", f"{limit:.1f}", "--scale", f"{options.scale:.4f}"]
+    command += ["--deadline", f"{time.time() + limit:.1f}", "--scale", f"{options.scale:.4f}"]
     command += ["--train", options.train] if options.train else []
     environment = os.environ | {"PYTHONUNBUFFERED": "1"}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(_root()), os.environ.get("PYTHONPATH")]))
