@@ -1,4 +1,4 @@
-"""Fit, checkpoint and view on another device (tests/reference/elsewhere.py): nothing of the CPU gets among its tensors."""
+"""Fit, checkpoint and view elsewhere (tests/reference/elsewhere.py): nothing of the CPU gets among their tensors."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +15,6 @@ from nerf.occupancy import WARM_UP
 from nerf.view import renderer
 from tests.reference.elsewhere import DEVICE, Away, Elsewhere, let_numbers_in
 from tests.test_nerf_fit import corridor
-
 
 SLOW = [pytest.param(family, marks=pytest.mark.slow) for family in ("mip360", "nerfpp")]
 
