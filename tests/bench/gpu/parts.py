@@ -24,10 +24,10 @@ class Part:
 
 PARTS = (
     Part("machine", "machine", 40, (), "The machine"),
-    Part("checks", "checks", 150, (*FIELD, "pytest", "hypothesis", "triton"), "Triton kernels against the twin"),
+    Part("checks", "checks", 200, (*FIELD, "pytest", "hypothesis", "triton"), "Triton kernels against the twin"),
     Part("bench", "bench", 100, FIELD, "Samples a second"),
-    Part("fit", "fit", 280, FIELD, "The 397x120 drive"),
-    Part("train", "training", 150, (), "Training"),
+    Part("fit", "fit", 260, FIELD, "The 397x120 drive"),
+    Part("train", "training", 120, (), "Training"),
 )
 """In this order; 720 s together."""
 
