@@ -44,4 +44,5 @@ def note(**figures: Any) -> None:
 
 def run_here(options: Namespace) -> None:
     """Run one part in this process."""
+    import_module("nerf")  # before torch: it tells torch's threads to sleep while others work, not to spin
     import_module(f"tests.bench.gpu.{find(options.part).module}").run(options)
