@@ -3,10 +3,12 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 DEMO ?= demo
+DATA ?= ../shared/data/kitti_raw_397x120
+DEVICE ?= cuda
 PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 
 
-.PHONY: demo test modes slow lint types bench clean
+.PHONY: demo test modes slow lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -48,6 +50,12 @@ types: $(VENV)/.dev
 
 bench: $(VENV)/.dev  ## interleaved timings and errors against named peers; see docs/benchmarks.md
 	for file in tests/bench/bench_*.py; do $(BIN)/python $$file || exit 1; done
+
+gpu-pack: $(VENV)/.dev  ## what a borrowed GPU needs, in one small folder; nothing where the data is missing
+	if [ -d "$(DATA)" ]; then $(BIN)/python tests/bench/gpu --make-pack --data "$(DATA)"; fi
+
+gpu: gpu-pack  ## what a borrowed GPU is asked: docs/gpu.md; DEVICE=cpu BUDGET=150 rehearses it
+	$(BIN)/python tests/bench/gpu --device $(DEVICE) $(if $(BUDGET),--budget $(BUDGET)) $(if $(PARTS),--parts $(PARTS))
 
 clean:
 	rm -rf $(VENV) $(DEMO)

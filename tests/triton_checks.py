@@ -3,6 +3,7 @@
 import math
 import os
 import sys
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -35,6 +36,7 @@ INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
 DEVICE = torch.device("cpu" if INTERPRETED else "cuda")
 if INTERPRETED:
     mend()
+PACKAGE = str(Path(render.__file__).parent)
 COUNTS = [[5, 3, 0, 17, 1], [0, 0], [3] * 70, [50, 2, 25]]
 
 
@@ -229,7 +231,7 @@ class Placed(TorchFunctionMode):
 
     def __torch_function__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         frame = sys._getframe(1)
-        if func in self.MAKERS and "device" not in (kwargs or {}) and "/nerf/nerf/" in frame.f_code.co_filename:
+        if func in self.MAKERS and "device" not in (kwargs or {}) and frame.f_code.co_filename.startswith(PACKAGE):
             self.lost.append(f"{frame.f_code.co_filename}:{frame.f_lineno}")
         return func(*args, **(kwargs or {}))
 

@@ -135,6 +135,38 @@ def captured(step: Step) -> Callable[[], None]:
     return graph.replay
 
 
+def measure(
+    device: torch.device, count: int, config: FieldConfig, rounds: int, repeats: int
+) -> Iterator[dict[str, float]]:
+    """Time a step of `count` samples; yields figures as soon as they are known: kernels and twin, parts, graph.
+
+    The twin takes as many samples: with fewer, what a call costs whatever its size would count too much.
+    The graph comes last: where recording it fails, the GPU may refuse everything after it.
+    """
+    fast = prepare(device, count, config)
+    with plainly():
+        slow = prepare(device, count, config)
+    times = []
+    for _ in range(rounds):
+        one = milliseconds(fast, device, repeats)
+        with plainly():
+            other = milliseconds(slow, device, 1)
+        times.append((one, other))
+    one, other = np.median(times, axis=0)
+    yield {
+        "step ms": one,
+        "M samples/s": count / one / 1e3,
+        "twin M samples/s": count / other / 1e3,
+        "ratio": float(np.median([b / a for a, b in times])),
+    }
+    for part, run in parts(fast).items():
+        yield {f"{part} ms": milliseconds(run, device, repeats)}
+    if device.type == "cuda":
+        yield {"MiB": torch.cuda.max_memory_allocated(device) / 2**20}
+        replay = milliseconds(captured(fast), device, repeats)
+        yield {"graph ms": replay, "graph M samples/s": count / replay / 1e3}
+
+
 def main() -> None:
     """Print million samples a second, the ratio to the twin, and where the time goes."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -149,26 +181,10 @@ def main() -> None:
     config = FieldConfig(GridConfig(log2_size=options.log2_size), NetworkConfig(width=options.width))
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU {platform.machine()}"
     print(f"{name}; torch {torch.__version__}; {count} samples, {config.grid.rows} rows, {options.width} neurons")
-    fast = prepare(device, count, config)
-    kernels = kernels_for(device).__name__
-    with plainly():
-        slow = prepare(device, count // 8, config)
-    times = []
-    for _ in range(options.rounds):
-        one = milliseconds(fast, device, options.repeats)
-        with plainly():
-            other = milliseconds(slow, device, 1)
-        times.append((one, other * 8))
-    one, other = np.median(times, axis=0)
-    ratio = np.median([b / a for a, b in times])
-    print(f"{kernels}: {one:.2f} ms a step, {count / one / 1e3:.1f} M samples/s forward + backward + update")
-    print(f"plain twin (an eighth of the samples, x 8): {count / other / 1e3:.2f} M samples/s; ratio {ratio:.0f}")
-    if device.type == "cuda":
-        replay = milliseconds(captured(fast), device, options.repeats)
-        print(f"the same step as a CUDA graph: {replay:.2f} ms, {count / replay / 1e3:.1f} M samples/s")
-        print(f"memory: {torch.cuda.max_memory_allocated(device) / 2**20:.0f} MiB at most, the twin's included")
-    for part, run in parts(fast).items():
-        print(f"  {part:16}{milliseconds(run, device, options.repeats):9.3f} ms")
+    print(f"{kernels_for(device).__name__}; forward + backward + update; the twin does the same samples")
+    for figures in measure(device, count, config, options.rounds, options.repeats):
+        for key, value in figures.items():
+            print(f"  {key:20}{value:10.3f}", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,46 @@
+"""Fit, checkpoint and view elsewhere (tests/reference/elsewhere.py): nothing of the CPU gets among their tensors."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from nerf import checkpoint
+from nerf.fit import FitConfig, fit
+from nerf.losses import LossConfig
+from nerf.model import ModelConfig, SamplerConfig
+from nerf.occupancy import WARM_UP
+from nerf.view import renderer
+from tests.reference.elsewhere import DEVICE, Away, Elsewhere, let_numbers_in
+from tests.test_nerf_fit import corridor
+
+SLOW = [pytest.param(family, marks=pytest.mark.slow) for family in ("mip360", "nerfpp")]
+
+
+@pytest.mark.parametrize("family", ["ngp", *SLOW])
+def test_a_fit_stays_on_its_device(family: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    let_numbers_in(monkeypatch)
+    scene = corridor("sparse")
+    model = ModelConfig(family=family, log2_size=8, width=16, sampler=SamplerConfig(count=8, free=8, render=16))
+    config = FitConfig(model=model, losses=LossConfig(loss="urf", trim=0.1), rays=16, steps=2)
+    camera = replace(scene.camera, size=(4, 8))
+    with Elsewhere():
+        made = fit(scene, config, tmp_path, device=str(DEVICE))
+        made.occupancy.update(made.density, (0, WARM_UP), probes=64)
+        again = checkpoint.open_model(tmp_path, DEVICE)
+        view = renderer(again)(scene.T_world_cam[scene.test[0]], camera)
+    assert all(isinstance(x, Away) for x in [*made.parameters().values(), *made.occupancy.state().values()])
+    assert np.isfinite(view.rgb).all()
+    assert view.rgb.std() > 0
+
+
+def test_devices_that_meet_are_found() -> None:
+    with Elsewhere():
+        there = torch.ones(3, device=DEVICE)
+        assert float((2 * there).sum()) == 6
+        with pytest.raises(RuntimeError, match="two devices meet"):
+            there + torch.ones(3)
+        with pytest.raises((RuntimeError, TypeError)):
+            there.numpy()
