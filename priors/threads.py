@@ -23,6 +23,9 @@ if TYPE_CHECKING:
 Work = Callable[[int], object]
 """What a thread does for the task of a number."""
 
+TASK_NS = 200_000
+"""What a task should take at least."""
+
 _asked: int | None = None
 _pool: list["SimpleQueue[_Job]"] = []
 _growing = threading.Lock()
@@ -99,6 +102,11 @@ def stretches(total: int, block: int = 1, each: int = 4) -> list[tuple[int, int]
     parts = max(1, min(blocks, each * count() if count() > 1 else 1))
     ends = [blocks * part // parts * block for part in range(parts)] + [total]
     return [(first, last) for first, last in itertools.pairwise(ends) if last > first]
+
+
+def worth(item_ns: float) -> int:
+    """Return how many items of about so many nanoseconds are worth a task: handing one over takes 20 microseconds."""
+    return max(1, int(TASK_NS // max(item_ns, 1)))
 
 
 def over(total: int, work: Callable[[int, int], object], block: int = 1, each: int = 4) -> None:
