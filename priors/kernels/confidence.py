@@ -10,7 +10,7 @@ STRETCH = 256
 """Values that are compared at a time."""
 
 
-@compiled
+@compiled(error_model="numpy")
 def find_hidden(disparity_px: FloatMap, margin_px: float, hidden: npt.NDArray[np.bool_], first: int, last: int) -> None:
     """Tell which pixels of a left view (height, width) the right one cannot see, in rows first to last - 1.
 
@@ -25,7 +25,7 @@ def find_hidden(disparity_px: FloatMap, margin_px: float, hidden: npt.NDArray[np
             nearest = min(nearest, lands)
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def interpolate(values: FloatMap, knots: FloatMap, heights: FloatMap, out: FloatMap) -> None:
     """Write a table's value for each of values (n,): linear between rising knots (k,), the last one's beyond.
 

@@ -7,7 +7,7 @@ from priors.kernels.floats import Bits, exponentiate, widen
 from priors.types import FloatMap
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def upsample(values: FloatMap, logits: Bits, factor: int, largest: float, out: FloatMap, first: int, last: int) -> None:
     """Write averages of values (b, c, h, w) by softmax(logits (b, h, w, factor^2 * 9)): (b, c, h * factor, ...).
 

@@ -9,7 +9,7 @@ from priors.types import FloatMap
 LARGEST_LOGIT = np.float32(40)
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def correct(
     raw: Bits, log_fill: FloatMap, largest_change: float, depth: FloatMap, scale: FloatMap, first: int, last: int
 ) -> None:

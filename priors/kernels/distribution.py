@@ -12,7 +12,7 @@ STRETCH = 1024
 """Pixels that are done at a time."""
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def expect(
     logits: Bits, position_px: FloatMap, window: int, mean: FloatMap, sigma: FloatMap, first: int, last: int
 ) -> None:

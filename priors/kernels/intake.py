@@ -8,7 +8,7 @@ import numpy.typing as npt
 from priors.compiled import compiled
 
 
-@compiled
+@compiled(error_model="numpy")
 def unshuffle(
     images: npt.NDArray[np.uint8], table: npt.NDArray[Any], factor: int, out: npt.NDArray[Any], first: int, last: int
 ) -> None:

@@ -10,7 +10,7 @@ from priors.compiled import compiled
 from priors.types import FloatMap
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def match(
     left: FloatMap, right: FloatMap, disparity_px: FloatMap, groups: int, out: FloatMap, first: int, last: int
 ) -> None:
@@ -42,7 +42,7 @@ def match(
                     out[row, x, plane, group] = total
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def match_backward(
     left: FloatMap,
     right: FloatMap,

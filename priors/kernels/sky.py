@@ -25,7 +25,7 @@ def shrink(image: Image, factor: int) -> tuple[Floats, FloatMap]:
     return colour, deviation
 
 
-@compiled
+@compiled(error_model="numpy")
 def _shrink(image: Image, factor: int, colour: Floats, deviation: FloatMap, first: int, last: int) -> None:
     height, width, _ = image.shape
     for i in range(first, last):
@@ -71,7 +71,7 @@ def grow_all(starts: FloatMap, colour: Floats, slope: float, slack: float) -> Fl
     return costs
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def _grow(cost: FloatMap, colour: Floats, slope: float, slack: float) -> None:
     height, width = cost.shape
     for sweep in range(4):
@@ -112,7 +112,7 @@ def fit_linear(moments: Floats, smoothing: float) -> Floats:
     return model
 
 
-@compiled
+@compiled(error_model="numpy")
 def _fit_linear(moments: Floats, smoothing: float, model: Floats, first: int, last: int) -> None:
     m = np.empty(13, np.float64)
     for i in range(first, last):
@@ -142,7 +142,7 @@ def dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap) ->
     threads.over(values.shape[1], lambda first, last: _dense(values, weights, bias, out, first, last), block)
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def _dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap, first: int, last: int) -> None:
     fours = weights.shape[0] // 4 * 4
     for start in range(first, last, STRETCH):
@@ -176,7 +176,7 @@ def apply_linear(image: Image, model: Floats, factor: int) -> Mask:
     return mask
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=True, error_model="numpy")
 def _apply_linear(image: Image, model: Floats, factor: int, mask: Mask, first: int, last: int) -> None:
     width = image.shape[1]
     rows, columns, _ = model.shape
