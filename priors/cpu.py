@@ -96,7 +96,7 @@ def mode() -> Mode:
         raise DataError(f"{VARIABLE}={asked}: expected one of {', '.join(get_args(Mode))}")
     if asked not in supported():
         raise DataError(f"{VARIABLE}={asked}: this CPU has not got it: choose one of {', '.join(supported())}")
-    return cast(Mode, asked)
+    return asked
 
 
 @cache

@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
@@ -25,6 +25,8 @@ Work = Callable[[int], object]
 
 TASK_NS = 200_000
 """What a task should take at least."""
+
+OPENMP = "OMP_NUM_THREADS"
 
 _asked: int | None = None
 _pool: list["SimpleQueue[_Job]"] = []
@@ -49,25 +51,52 @@ def count() -> int:
 def limited(threads: int | None) -> Iterator[None]:
     """Let every call inside use so many threads, ours and the libraries'; None: as many as outside.
 
-    OpenBLAS gets one: its threads spin for a tenth of a second after each product, and our products are small.
+    OpenBLAS gets one: its threads spin for a tenth of a second after each product, and our products are small. PyTorch,
+    where it is not there yet, is told by a variable that it reads when it loads.
     Raises DataError for less than one.
     """
     global _asked
     if threads is not None and threads < 1:
         raise DataError(f"expected 1 thread or more, found {threads}")
-    before, torch = _asked, sys.modules.get("torch")
-    theirs = None if torch is None else torch.get_num_threads()
-    with _blas().limit(limits=1, user_api="blas"):
+    before = _asked
+    with _blas().limit(limits=1, user_api="blas"), ExitStack() as undo:
+        if threads is not None:
+            undo.callback(_limit_opencv(threads))
+            undo.callback(_limit_torch(threads))
+            _asked = threads
         try:
-            if threads is not None:
-                _asked = threads
-                if torch is not None:
-                    torch.set_num_threads(threads)
             yield
         finally:
             _asked = before
-            if torch is not None:
-                torch.set_num_threads(theirs)
+
+
+def _limit_opencv(threads: int) -> Callable[[], None]:
+    """Set OpenCV's threads; returns what sets them back."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(threads)
+    return lambda: cv2.setNumThreads(before)
+
+
+def _limit_torch(threads: int) -> Callable[[], None]:
+    """Set PyTorch's threads, now or when it loads; returns what sets them back."""
+    torch, told = sys.modules.get("torch"), os.environ.get(OPENMP)
+    before = int(told) if told and told.isdigit() else available()
+    if torch is not None:
+        before = torch.get_num_threads()
+        torch.set_num_threads(threads)
+    os.environ[OPENMP] = str(threads)
+
+    def undo() -> None:
+        if told is None:
+            os.environ.pop(OPENMP, None)
+        else:
+            os.environ[OPENMP] = told
+        if "torch" in sys.modules:
+            sys.modules["torch"].set_num_threads(before)
+
+    return undo
 
 
 @cache
