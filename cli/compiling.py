@@ -8,6 +8,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import ProgressColumn, Task
 from rich.status import Status
+from rich.table import Column as TableColumn
 from rich.text import Text
 
 from priors import notices
@@ -57,7 +58,7 @@ class Watch:
         if not self._nested:
             return ""
         seconds = self._seconds + time.perf_counter() - self._since
-        return f"compiling kernels: {self._functions} functions, {seconds:.0f} s"
+        return f"compiling kernels: {self._functions} done, {seconds:.0f} s"
 
     def __rich__(self) -> str:
         return self.text()
@@ -111,7 +112,7 @@ class Column(ProgressColumn):
     """A bar's column that shows what a watch has to say."""
 
     def __init__(self, watch: Watch) -> None:
-        super().__init__()
+        super().__init__(table_column=TableColumn(no_wrap=True))
         self._watch = watch
 
     def render(self, task: Task) -> Text:

@@ -115,14 +115,14 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         found = super().load_overload(sig, target_context)
         if found is None:
             for tell in on_compile:
-                tell(self._name)
+                tell(self._py_func.__name__)
         return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, and say that it is."""
         super().save_overload(sig, data)
         for tell in on_compiled:
-            tell(self._name)
+            tell(self._py_func.__name__)
 
 
 class _NoCache(NullCache):  # type: ignore[misc]
