@@ -204,3 +204,42 @@ def test_a_command_uses_as_many_threads_as_it_is_told(
     assert PROGRAM.run(arguments) == 0
     assert seen == [(3, 3)]
     assert settings()[:3] == before
+
+
+def answers() -> list[torch.Tensor]:
+    """What kernels make of the same random inputs: images, features, logits."""
+    import numpy as np
+
+    from priors.nets import intake, matching, upsample
+    from priors.nets.confidence import is_hidden
+    from priors.sky import sky_mask
+
+    generator, rng = torch.Generator().manual_seed(0), np.random.default_rng(0)
+    left, right = (torch.randn(1, 16, 60, 90, generator=generator).bfloat16() for _ in range(2))
+    disparity_px = torch.randn(1, 60, 90, 6, generator=generator) * 5 + 4
+    logits = torch.randn(1, 144, 60, 90, generator=generator)
+    image = rng.integers(0, 256, (240, 360, 3), dtype=np.uint8)
+    image[:80] = 250
+    pixels = torch.from_numpy(image).permute(2, 0, 1)[None]
+    with torch.inference_mode():
+        return [
+            torch.from_numpy(sky_mask(image)),
+            torch.from_numpy(is_hidden(disparity_px[0, :, :, 0].numpy())),
+            matching.lookup(left, right, disparity_px, 4),
+            matching.lookup_beside([left.permute(0, 2, 3, 1)], left, right, disparity_px, 4, [disparity_px]),
+            *matching.expect(disparity_px, torch.arange(6.0)[None, None, None], 2),
+            upsample.convex(disparity_px[:, :, :, :2].permute(0, 3, 1, 2), logits, 4),
+            *intake.take_in(pixels, pixels.flip(3), torch.bfloat16),
+        ]
+
+
+def test_results_do_not_depend_on_the_number_of_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    with threads.limited(1):
+        expected = answers()
+    assert expected[0].any()
+    assert not expected[0].all()
+    monkeypatch.setattr(threads, "TASK_NS", 1_000)  # as many tasks as there can be
+    for count in (2, 7):
+        with threads.limited(count):
+            found = answers()
+        assert all(torch.equal(mine, theirs) for mine, theirs in zip(found, expected, strict=True))
