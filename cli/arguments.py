@@ -41,7 +41,7 @@ class ThreadArguments:
     """How many cores to compute on."""
 
     threads: int | None = field(default=None, kw_only=True)
-    """Threads to compute with, ours and the libraries'; default: as many as there are cores that may be used."""
+    """Threads to compute with, ours and the libraries'; default: OMP_NUM_THREADS, else every core it may use."""
 
     def __post_init__(self) -> None:
         if self.threads is not None and self.threads < 1:
@@ -49,7 +49,7 @@ class ThreadArguments:
 
     def limited(self) -> AbstractContextManager[None]:
         """Let what runs inside use so many."""
-        return threads.limited(self.threads)
+        return threads.limited(threads.usual() if self.threads is None else self.threads)
 
 
 def drive_key(prior: Prior) -> tuple[str, ...]:

@@ -40,6 +40,12 @@ def available() -> int:
     return os.cpu_count() or 1
 
 
+def usual() -> int:
+    """Return how many threads a command uses that is not told: OMP_NUM_THREADS, else every core it may use."""
+    told = os.environ.get(OPENMP, "")
+    return int(told) if told.isdigit() and int(told) else available()
+
+
 def count() -> int:
     """Return how many threads a call uses: what `limited` says, else what PyTorch is set to, else every core."""
     if _asked is not None:
@@ -81,8 +87,7 @@ def _limit_opencv(threads: int) -> Callable[[], None]:
 
 def _limit_torch(threads: int) -> Callable[[], None]:
     """Set PyTorch's threads, now or when it loads; returns what sets them back."""
-    torch, told = sys.modules.get("torch"), os.environ.get(OPENMP)
-    before = int(told) if told and told.isdigit() else available()
+    torch, told, before = sys.modules.get("torch"), os.environ.get(OPENMP), usual()
     if torch is not None:
         before = torch.get_num_threads()
         torch.set_num_threads(threads)

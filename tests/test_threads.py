@@ -13,6 +13,7 @@ import pytest
 import torch
 from threadpoolctl import threadpool_info
 
+from cli.arguments import ThreadArguments
 from priors import threads
 from priors.errors import DataError
 
@@ -149,6 +150,13 @@ print(inside, torch.get_num_threads() == threads.available())
         [sys.executable, "-c", code], cwd=ROOT, env=environment, capture_output=True, text=True, check=True
     )
     assert done.stdout.split() == ["1", "True"]
+
+
+def test_a_command_that_is_not_told_uses_every_core_or_what_openmp_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    for told, expected in (("", threads.available()), ("0", threads.available()), ("3", 3)):
+        monkeypatch.setenv("OMP_NUM_THREADS", told)
+        with ThreadArguments().limited():
+            assert (threads.count(), torch.get_num_threads(), cv2.getNumThreads()) == (expected, expected, expected)
 
 
 def test_no_more_threads_run_than_were_asked_for() -> None:
