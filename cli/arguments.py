@@ -1,14 +1,16 @@
 """Flags that several commands share."""
 
-from dataclasses import dataclass
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
-from priors import drives
+from priors import drives, threads
 from priors.cache import Prior
 from priors.drives import DriveOptions
+from priors.errors import UsageError
 from priors.types import Drive
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
@@ -32,6 +34,22 @@ class DriveArguments:
     def open(self) -> Drive:
         """Open the drive."""
         return drives.open_drive(self.data, self.dataset, self.part)
+
+
+@dataclass(frozen=True)
+class ThreadArguments:
+    """How many cores to compute on."""
+
+    threads: int | None = field(default=None, kw_only=True)
+    """Threads to compute with, ours and the libraries'; default: OMP_NUM_THREADS, else every core it may use."""
+
+    def __post_init__(self) -> None:
+        if self.threads is not None and self.threads < 1:
+            raise UsageError(f"--threads {self.threads}: expected 1 or more")
+
+    def limited(self) -> AbstractContextManager[None]:
+        """Let what runs inside use so many."""
+        return threads.limited(threads.usual() if self.threads is None else self.threads)
 
 
 def drive_key(prior: Prior) -> tuple[str, ...]:

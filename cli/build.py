@@ -9,7 +9,7 @@ from rich.box import SIMPLE_HEAD
 from rich.markup import escape
 from rich.table import Table
 
-from cli.arguments import DriveArguments, parse
+from cli.arguments import DriveArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, out, progress
 from priors import build, methods
 from priors.errors import DataError
@@ -29,7 +29,7 @@ examples:
 
 
 @dataclass(frozen=True)
-class BuildArguments(DriveArguments):
+class BuildArguments(ThreadArguments, DriveArguments):
     """Arguments of `priors build` that do not depend on which methods there are."""
 
     method: Literal[*methods.names()] = tyro.MISSING  # type: ignore[valid-type]
@@ -47,6 +47,11 @@ class BuildArguments(DriveArguments):
 def run(arguments: list[str]) -> int:
     """Build; returns the exit code."""
     args: Any = parse(_with_methods(), "priors build", EXAMPLES, arguments)
+    with args.limited():
+        return _build(args)
+
+
+def _build(args: Any) -> int:
     drive = args.open()
     prior, method = build.prepare(drive, args.method, getattr(args, args.method), args.filters, args.cache)
     reads = [*method.reads, *args.filters.reads]

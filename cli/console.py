@@ -7,26 +7,38 @@ from pathlib import Path
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
+from cli.compiling import Column, Watch
 from eval.protocol import ScoreError
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 
 PIPE_WIDTH = 160
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 
 out = Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
 err = Console(stderr=True, highlight=False, soft_wrap=True)
+watch = Watch(err)
+"""Tells when kernels are compiled."""
 
 
 def guarded(command: Callable[[], int]) -> int:
     """Run a command; known errors become one line and an exit code, unknown ones keep their traceback."""
     _refuse_foreign_eval()
+    watch.install()
     try:
         return command()
     except (DataError, ScoreError) as error:
         err.print(f"[bold red]error:[/] {escape(str(error))}")
-        return DATA_ERROR
+        return USAGE_ERROR if isinstance(error, UsageError) else DATA_ERROR
     except KeyboardInterrupt:
         err.print("interrupted: what was finished is kept; run the same command again to go on")
         return INTERRUPTED
@@ -35,6 +47,19 @@ def guarded(command: Callable[[], int]) -> int:
     except OSError as error:
         err.print(f"[bold red]error:[/] {escape(str(error.filename or 'file system'))}: {error.strerror}")
         return DATA_ERROR
+    finally:
+        watch.finish()
+
+
+@contextmanager
+def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
+    """Show a progress bar; while it moves, what is compiled stands in its last column."""
+    watch.bar_begins()
+    try:
+        with Progress(*columns, Column(watch), console=err) as bar:
+            yield bar
+    finally:
+        watch.bar_ends()
 
 
 def _refuse_foreign_eval() -> None:
@@ -51,7 +76,7 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
     """Show a progress bar on a terminal, a line every tenth in a pipe; yields what to call once a step."""
     if err.is_terminal:
         columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
-        with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=err) as bar:
+        with _bar(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as bar:
             task = bar.add_task(label, total=total)
             yield lambda *_: bar.advance(task)
         return
@@ -76,7 +101,7 @@ def train_progress(label: str) -> Iterator[Callable[..., None]]:
 
     if err.is_terminal:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        with Progress(*columns, TextColumn("{task.fields[line]}"), console=err) as bar:
+        with _bar(*columns, TextColumn("{task.fields[line]}")) as bar:
             task = bar.add_task(label, total=1.0, line="")
             yield lambda status: bar.update(task, completed=status.done, line=line(status))
         return
@@ -96,7 +121,7 @@ def fit_progress(label: str) -> Iterator[Callable[..., None]]:
 
     if err.is_terminal:
         columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        with Progress(*columns, TextColumn("{task.fields[line]}"), console=err) as bar:
+        with _bar(*columns, TextColumn("{task.fields[line]}")) as bar:
             task = bar.add_task(label, total=1.0, line="")
 
             def draw(status: Status) -> None:

@@ -33,6 +33,11 @@ class ExportArguments(RunArguments):
 def run(arguments: list[str]) -> int:
     """Write the file; returns the exit code."""
     args = parse(ExportArguments, "nerf export", EXAMPLES, arguments)
+    with args.limited():
+        return _export(args)
+
+
+def _export(args: ExportArguments) -> int:
     views = open_views(args)
     path = args.out or args.run / f"{args.kind}.ply"
     write = write_cloud if args.kind == "cloud" else write_mesh

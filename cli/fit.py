@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, parse, pick_device
+from cli.arguments import Device, DriveArguments, ThreadArguments, parse, pick_device
 from cli.console import err, fit_progress, out, progress
 from cli.report import LpipsArguments, print_table, report_run
 from nerf import checkpoint, fields
@@ -35,7 +35,7 @@ else:
 
 
 @dataclass(frozen=True)
-class FitArguments(DriveArguments):
+class FitArguments(ThreadArguments, DriveArguments):
     """Arguments of `nerf fit`."""
 
     prior: Path | None = None
@@ -69,6 +69,11 @@ class FitArguments(DriveArguments):
 def run(arguments: list[str]) -> int:
     """Fit; returns the exit code."""
     args = parse(FitArguments, "nerf fit", EXAMPLES, arguments)
+    with args.limited():
+        return _fit(args)
+
+
+def _fit(args: FitArguments) -> int:
     drive = args.open()
     prior = None if args.prior is None else cache.only(args.prior)
     config = FitConfig(

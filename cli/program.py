@@ -1,12 +1,17 @@
 """A program with commands: finds the command's file, imports it when it is named, tells the rest."""
 
+import os
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
 
+from rich.markup import escape
+
 from cli.console import USAGE_ERROR, err, guarded, out
+from priors import cpu
+from priors.errors import DataError
 
 
 @dataclass(frozen=True)
@@ -35,6 +40,9 @@ class Program:
         if name not in self.commands:
             err.print(f"[bold red]error:[/] no command {name!r}: choose one of {', '.join(self.commands)}")
             return USAGE_ERROR
+        if not {"-h", "--help"}.intersection(rest) and (wrong := _wrong_mode()):
+            err.print(f"[bold red]error:[/] {escape(wrong)}")
+            return USAGE_ERROR
         return guarded(lambda: import_module(self.commands[name][0]).run(rest))
 
     def _overview(self) -> str:
@@ -46,3 +54,14 @@ class Program:
             f"{self.name} COMMAND --help tells the rest",
         )
         return "\n\n".join(parts)
+
+
+def _wrong_mode() -> str:
+    """Say what is wrong with the CPU mode that was asked for, before any work; nothing where it is right."""
+    if not os.environ.get(cpu.VARIABLE):
+        return ""
+    try:
+        cpu.mode()
+    except DataError as error:
+        return str(error)
+    return ""

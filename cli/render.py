@@ -32,6 +32,11 @@ class RenderArguments(RunArguments):
 def run(arguments: list[str]) -> int:
     """Render; returns the exit code."""
     args = parse(RenderArguments, "nerf render", EXAMPLES, arguments)
+    with args.limited():
+        return _render(args)
+
+
+def _render(args: RenderArguments) -> int:
     views = open_views(args)
     if args.poses is not None:
         views = _with_poses(views, args.poses)

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from cli.arguments import Device, parse, pick_device
+from cli.arguments import Device, ThreadArguments, parse, pick_device
 from cli.console import out, progress
 from eval import lpips, sheet
 from nerf import checkpoint
@@ -45,7 +45,7 @@ class LpipsArguments:
 
 
 @dataclass(frozen=True)
-class ReportArguments:
+class ReportArguments(ThreadArguments):
     """Arguments of `nerf eval`."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -65,6 +65,11 @@ def run(arguments: list[str]) -> int:
     bad = [path for path in args.save if path.suffix not in WRITERS]
     if bad:
         raise DataError(f"{bad[0]}: expected a table ending in {', '.join(WRITERS)}")
+    with args.limited():
+        return _score(args)
+
+
+def _score(args: ReportArguments) -> int:
     opened, reports = [], []
     for folder in args.runs:
         made = open_run(folder)

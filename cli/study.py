@@ -8,7 +8,7 @@ from typing import Any, Literal, cast
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, parse, pick_device
+from cli.arguments import Device, DriveArguments, ThreadArguments, parse, pick_device
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.fit import FieldName, seconds
 from cli.report import LpipsArguments, report_run
@@ -34,7 +34,7 @@ examples:
 
 
 @dataclass(frozen=True)
-class StudyArguments(DriveArguments):
+class StudyArguments(ThreadArguments, DriveArguments):
     """Arguments of `nerf study`."""
 
     priors: tuple[Path, ...] = (Path(NONE),)
@@ -93,6 +93,11 @@ class StudyArguments(DriveArguments):
 def run(arguments: list[str]) -> int:
     """Make the study; returns the exit code: 1 where a run failed."""
     args = parse(StudyArguments, "nerf study", EXAMPLES, arguments)
+    with args.limited():
+        return _make(args, shlex.join(["nerf", "study", *arguments]))
+
+
+def _make(args: StudyArguments, command: str) -> int:
     drive = args.open()
     grid = args.grid()
     budget = {"steps": args.steps} if args.steps is not None else {"seconds": seconds(args.time)}
@@ -118,7 +123,7 @@ def run(arguments: list[str]) -> int:
     outcomes = run_study(grid, args.out, make, settings, _tell)
     laid = study_table.lay_out(outcomes)
     out.print(sheet.render(laid, out.width)) if out.is_terminal else out.file.write(sheet.plain(laid))
-    for path in study_table.save(outcomes, args.out, shlex.join(["nerf", "study", *arguments])):
+    for path in study_table.save(outcomes, args.out, command):
         out.print(f"wrote {path}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0
 

@@ -30,6 +30,11 @@ class VideoArguments(RunArguments):
 def run(arguments: list[str]) -> int:
     """Write the video; returns the exit code."""
     args = parse(VideoArguments, "nerf video", EXAMPLES, arguments)
+    with args.limited():
+        return _write(args)
+
+
+def _write(args: VideoArguments) -> int:
     views = open_views(args)
     path = args.out or args.run / "video.mp4"
     with progress("video", args.video.steps * (len(views.ids) - 1) + 1) as step:

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import tyro
 
-from cli.arguments import Device, pick_device
+from cli.arguments import Device, ThreadArguments, pick_device
 from nerf import checkpoint
 from nerf.pictures import Render
 from nerf.run import Run, open_run
@@ -18,7 +18,7 @@ from priors.types import Camera
 
 
 @dataclass(frozen=True)
-class RunArguments:
+class RunArguments(ThreadArguments):
     """Which run, and which of its drive's frames."""
 
     run: Annotated[Path, tyro.conf.Positional]

@@ -5,5 +5,5 @@ import os
 from priors.cpu import hold_down
 
 hold_down()
-# torch and numba each bring threads of their own; while one works, the other's must sleep, not spin.
+# As priors/__init__.py has it: PyTorch's threads must sleep, not spin, while ours work.
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

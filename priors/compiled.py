@@ -12,7 +12,6 @@ import hashlib
 import os
 import sys
 import tempfile
-from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,12 +20,10 @@ from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 
 from priors.cpu import mode
+from priors.notices import on_compile, on_compiled
 
 FAST = {"reassoc", "contract", "nsz", "arcp"}
 """Floating-point freedoms of most kernels; neither nnan nor ninf: an overflow must stay visible."""
-
-on_compile: list[Callable[[str], None]] = []
-"""Called with a function's name before it is compiled; the commands tell the user why they wait."""
 
 
 def compiled(function: Any = None, **options: Any) -> Any:
@@ -34,8 +31,14 @@ def compiled(function: Any = None, **options: Any) -> Any:
     if function is None:
         return lambda function: compiled(function, **options)
     made = njit(function, nogil=True, **options)
-    made._cache = _Cache(made.py_func) if _folder() else NullCache()
+    made._cache = _Cache(made.py_func) if _folder() else _NoCache(made.py_func.__name__)
     return made
+
+
+def kept_in() -> Path | None:
+    """Return the folder in which compiled functions are kept, whatever the CPU's mode; None: they are not."""
+    folder = _folder()
+    return None if folder is None else folder.parent
 
 
 @cache
@@ -45,11 +48,13 @@ def _folder() -> Path | None:
     for place in _places():
         folder = place / name
         try:
-            folder.mkdir(parents=True, exist_ok=True)
+            folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
         except OSError:
             continue
-        return folder
+        # What lies there is run: a folder that somebody else made under /tmp is not trusted.
+        if not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid():
+            return folder
     return None
 
 
@@ -103,7 +108,7 @@ class _Impl(CompileResultCacheImpl):  # type: ignore[misc]
 
 
 class _Cache(FunctionCache):  # type: ignore[misc]
-    """Numba's cache of a function, that tells when something is not in it."""
+    """Numba's cache of a function, that tells when something is not in it, and when it is made."""
 
     _impl_class = _Impl
 
@@ -112,5 +117,28 @@ class _Cache(FunctionCache):  # type: ignore[misc]
         found = super().load_overload(sig, target_context)
         if found is None:
             for tell in on_compile:
-                tell(self._name)
+                tell(self._py_func.__name__)
         return found
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep what was compiled, and say that it is."""
+        super().save_overload(sig, data)
+        for tell in on_compiled:
+            tell(self._py_func.__name__)
+
+
+class _NoCache(NullCache):  # type: ignore[misc]
+    """Nowhere to keep a function; that it is compiled is told all the same."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def load_overload(self, sig: Any, target_context: Any) -> None:
+        """Say that it is to be compiled."""
+        for tell in on_compile:
+            tell(self._name)
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Say that it is ready."""
+        for tell in on_compiled:
+            tell(self._name)

@@ -1,4 +1,4 @@
-"""The one error a user is meant to read."""
+"""The errors a user is meant to read."""
 
 
 class DataError(Exception):
@@ -6,3 +6,7 @@ class DataError(Exception):
 
     The command line prints it without a traceback and exits 1.
     """
+
+
+class UsageError(DataError):
+    """A command that was called wrongly; the command line exits 2."""

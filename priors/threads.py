@@ -10,7 +10,7 @@ import os
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
 from queue import SimpleQueue
 from typing import TYPE_CHECKING
@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 
 Work = Callable[[int], object]
 """What a thread does for the task of a number."""
+
+TASK_NS = 200_000
+"""What a task should take at least."""
+
+OPENMP = "OMP_NUM_THREADS"
 
 _asked: int | None = None
 _pool: list["SimpleQueue[_Job]"] = []
@@ -35,6 +40,12 @@ def available() -> int:
     return os.cpu_count() or 1
 
 
+def usual() -> int:
+    """Return how many threads a command uses that is not told: OMP_NUM_THREADS, else every core it may use."""
+    told = os.environ.get(OPENMP, "")
+    return int(told) if told.isdigit() and int(told) else available()
+
+
 def count() -> int:
     """Return how many threads a call uses: what `limited` says, else what PyTorch is set to, else every core."""
     if _asked is not None:
@@ -46,25 +57,51 @@ def count() -> int:
 def limited(threads: int | None) -> Iterator[None]:
     """Let every call inside use so many threads, ours and the libraries'; None: as many as outside.
 
-    OpenBLAS gets one: its threads spin for a tenth of a second after each product, and our products are small.
+    OpenBLAS gets one: its threads spin for a tenth of a second after each product, and our products are small. PyTorch,
+    where it is not there yet, is told by a variable that it reads when it loads.
     Raises DataError for less than one.
     """
     global _asked
     if threads is not None and threads < 1:
         raise DataError(f"expected 1 thread or more, found {threads}")
-    before, torch = _asked, sys.modules.get("torch")
-    theirs = None if torch is None else torch.get_num_threads()
-    with _blas().limit(limits=1, user_api="blas"):
+    before = _asked
+    with _blas().limit(limits=1, user_api="blas"), ExitStack() as undo:
+        if threads is not None:
+            undo.callback(_limit_opencv(threads))
+            undo.callback(_limit_torch(threads))
+            _asked = threads
         try:
-            if threads is not None:
-                _asked = threads
-                if torch is not None:
-                    torch.set_num_threads(threads)
             yield
         finally:
             _asked = before
-            if torch is not None:
-                torch.set_num_threads(theirs)
+
+
+def _limit_opencv(threads: int) -> Callable[[], None]:
+    """Set OpenCV's threads; returns what sets them back."""
+    import cv2
+
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(threads)
+    return lambda: cv2.setNumThreads(before)
+
+
+def _limit_torch(threads: int) -> Callable[[], None]:
+    """Set PyTorch's threads, now or when it loads; returns what sets them back."""
+    torch, told, before = sys.modules.get("torch"), os.environ.get(OPENMP), usual()
+    if torch is not None:
+        before = torch.get_num_threads()
+        torch.set_num_threads(threads)
+    os.environ[OPENMP] = str(threads)
+
+    def undo() -> None:
+        if told is None:
+            os.environ.pop(OPENMP, None)
+        else:
+            os.environ[OPENMP] = told
+        if "torch" in sys.modules:
+            sys.modules["torch"].set_num_threads(before)
+
+    return undo
 
 
 @contextmanager
@@ -112,6 +149,11 @@ def stretches(total: int, block: int = 1, each: int = 4) -> list[tuple[int, int]
     parts = max(1, min(blocks, each * count() if count() > 1 else 1))
     ends = [blocks * part // parts * block for part in range(parts)] + [total]
     return [(first, last) for first, last in itertools.pairwise(ends) if last > first]
+
+
+def worth(item_ns: float) -> int:
+    """Return how many items of about so many nanoseconds are worth a task: handing one over takes 20 microseconds."""
+    return max(1, int(TASK_NS // max(item_ns, 1)))
 
 
 def over(total: int, work: Callable[[int, int], object], block: int = 1, each: int = 4) -> None:

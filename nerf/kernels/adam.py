@@ -46,9 +46,11 @@ def adam(
         tail = last - rest
         padded = np.zeros((4, 16), dtype=np.float32)
         half = np.zeros(16, dtype=np.int16)
-        padded[0, :tail], padded[1, :tail] = weights[rest:last], gradient[rest:last]
-        padded[2, :tail], padded[3, :tail] = mean[rest:last], square[rest:last]
+        for i in range(tail):  # an assignment of slices would take seconds to compile, for the texts of its errors
+            padded[0, i], padded[1, i] = weights[rest + i], gradient[rest + i]
+            padded[2, i], padded[3, i] = mean[rest + i], square[rest + i]
         _sixteen(padded[0], padded[1], padded[2], padded[3], half, np.int64(0), settings)
-        weights[rest:last], mean[rest:last], square[rest:last] = padded[0, :tail], padded[2, :tail], padded[3, :tail]
-        if copy.size:
-            copy[rest:last] = half[:tail]
+        for i in range(tail):
+            weights[rest + i], mean[rest + i], square[rest + i] = padded[0, i], padded[2, i], padded[3, i]
+            if copy.size:
+                copy[rest + i] = half[i]

@@ -1,21 +1,21 @@
 """Convex upsampling in one pass over memory; the readable twin is nets/upsample.py in plain torch."""
 
 import numpy as np
-from numba import prange
 
 from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
 from priors.types import FloatMap
 
 
-@compiled(fastmath=True, parallel=True)
-def upsample(values: FloatMap, logits: Bits, factor: int, largest: float, out: FloatMap) -> None:
+@compiled(fastmath=True, error_model="numpy")
+def upsample(values: FloatMap, logits: Bits, factor: int, largest: float, out: FloatMap, first: int, last: int) -> None:
     """Write averages of values (b, c, h, w) by softmax(logits (b, h, w, factor^2 * 9)): (b, c, h * factor, ...).
 
-    Logits are stored in 16 or 32 bits, and held between -largest and largest.
+    Logits are stored in 16 or 32 bits, and held between -largest and largest. Done are lines first to last - 1 of
+    the b * h there are.
     """
-    batch, channels, height, width = values.shape
-    for row in prange(batch * height):
+    _, channels, height, width = values.shape
+    for row in range(first, last):
         b, y = row // height, row % height
         above, below = max(y - 1, 0), min(y + 1, height - 1)
         around = np.empty((channels, 9), np.float32)

@@ -1,7 +1,6 @@
 """Completion's last step in one pass over memory; the readable twin is in nets/mffnet.py in plain torch."""
 
 import numpy as np
-from numba import prange
 
 from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
@@ -10,8 +9,10 @@ from priors.types import FloatMap
 LARGEST_LOGIT = np.float32(40)
 
 
-@compiled(fastmath=True, parallel=True)
-def correct(raw: Bits, log_fill: FloatMap, largest_change: float, depth: FloatMap, scale: FloatMap) -> None:
+@compiled(fastmath=True, error_model="numpy")
+def correct(
+    raw: Bits, log_fill: FloatMap, largest_change: float, depth: FloatMap, scale: FloatMap, first: int, last: int
+) -> None:
     """Mix two changes of a pre-fill, and apply the mix.
 
     Args:
@@ -21,9 +22,11 @@ def correct(raw: Bits, log_fill: FloatMap, largest_change: float, depth: FloatMa
         largest_change: changes are held within this, up and down.
         depth: (b, h, w), written: exp(log_fill + change).
         scale: (b, h, w), written: as it is in raw.
+        first: the first line of the b * h to do.
+        last: one behind the last.
     """
-    batch, height, width = depth.shape
-    for line in prange(batch * height):
+    _, height, width = depth.shape
+    for line in range(first, last):
         b, y = line // height, line % height
         given = raw[b, y // 2]
         cells = np.empty(given.size, np.float32)
@@ -39,7 +42,8 @@ def correct(raw: Bits, log_fill: FloatMap, largest_change: float, depth: FloatMa
             change[x] = log_fill[b, y, x] + held
             scale[b, y, x] = cells[_place(x, y, 3)]
         exponentiate(change, scratch)
-        depth[b, y] = change
+        for x in range(width):
+            depth[b, y, x] = change[x]
 
 
 @compiled(inline="always")

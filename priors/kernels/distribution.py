@@ -3,27 +3,28 @@
 import math
 
 import numpy as np
-from numba import prange
 
 from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
 from priors.types import FloatMap
 
 STRETCH = 1024
-"""Pixels that a thread takes at a time."""
+"""Pixels that are done at a time."""
 
 
-@compiled(fastmath=True, parallel=True)
-def expect(logits: Bits, position_px: FloatMap, window: int, mean: FloatMap, sigma: FloatMap) -> None:
+@compiled(fastmath=True, error_model="numpy")
+def expect(
+    logits: Bits, position_px: FloatMap, window: int, mean: FloatMap, sigma: FloatMap, first: int, last: int
+) -> None:
     """Write mean and deviation (n,) of the distributions that logits (n, planes), in 16 or 32 bits, describe.
 
     position_px is (n, planes) or (1, planes). The mean is over `window` planes to each side of the likeliest, the
-    deviation over all.
+    deviation over all. Done are pixels first to last - 1; first is a multiple of STRETCH.
     """
-    count, planes = logits.shape
+    planes = logits.shape[1]
     own = position_px.shape[0] > 1
-    for stretch in prange(-(-count // STRETCH)):
-        start, end = STRETCH * stretch, min(count, STRETCH * (stretch + 1))
+    for start in range(first, last, STRETCH):
+        end = min(last, start + STRETCH)
         flat, scratch = np.empty((end - start) * planes, np.float32), np.empty((end - start) * planes, np.float32)
         widen(logits[start:end].reshape(-1), flat)
         shares = flat.reshape((end - start, planes))

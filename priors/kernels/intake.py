@@ -4,20 +4,22 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from priors.compiled import compiled
 
 
-@compiled(parallel=True)
-def unshuffle(images: npt.NDArray[np.uint8], table: npt.NDArray[Any], factor: int, out: npt.NDArray[Any]) -> None:
+@compiled(error_model="numpy")
+def unshuffle(
+    images: npt.NDArray[np.uint8], table: npt.NDArray[Any], factor: int, out: npt.NDArray[Any], first: int, last: int
+) -> None:
     """Write table[image] with factor x factor pixels as channels: (b, h, w, c) -> (b, rows, columns, c * factor^2).
 
     The order of channels is that of torch's pixel_unshuffle; right and bottom edges are repeated to fill `out`.
+    Done are lines first to last - 1 of the b * rows there are.
     """
     height, width, channels = images.shape[1:]
     rows, columns = out.shape[1:3]
-    for line in prange(images.shape[0] * rows):
+    for line in range(first, last):
         b, row = line // rows, line % rows
         for dy in range(factor):
             y = min(factor * row + dy, height - 1)

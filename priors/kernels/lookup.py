@@ -5,20 +5,24 @@ independent, so threads share nothing. Without gradients, kernels/volume.py does
 """
 
 import numpy as np
-from numba import prange
 
 from priors.compiled import compiled
 from priors.types import FloatMap
 
 
-@compiled(fastmath=True, parallel=True)
-def match(left: FloatMap, right: FloatMap, disparity_px: FloatMap, groups: int, out: FloatMap) -> None:
-    """Write the products of left (rows, w, c) and right at disparities (rows, w, planes): (rows, w, planes, groups)."""
-    rows, width, channels = left.shape
+@compiled(fastmath=True, error_model="numpy")
+def match(
+    left: FloatMap, right: FloatMap, disparity_px: FloatMap, groups: int, out: FloatMap, first: int, last: int
+) -> None:
+    """Write the products of left (rows, w, c) and right at disparities (rows, w, planes): (rows, w, planes, groups).
+
+    Done are rows first to last - 1.
+    """
+    _, width, channels = left.shape
     planes = disparity_px.shape[2]
     size = channels // groups
-    for row in prange(rows):
-        product = np.empty(channels, np.float32)  # all channels first: a group is too short for the vector unit
+    product = np.empty(channels, np.float32)  # all channels first: a group is too short for the vector unit
+    for row in range(first, last):
         for x in range(width):
             mine = left[row, x]
             for plane in range(planes):
@@ -38,7 +42,7 @@ def match(left: FloatMap, right: FloatMap, disparity_px: FloatMap, groups: int, 
                     out[row, x, plane, group] = total
 
 
-@compiled(fastmath=True, parallel=True)
+@compiled(fastmath=True, error_model="numpy")
 def match_backward(
     left: FloatMap,
     right: FloatMap,
@@ -47,12 +51,14 @@ def match_backward(
     d_left: FloatMap,
     d_right: FloatMap,
     d_disparity: FloatMap,
+    first: int,
+    last: int,
 ) -> None:
-    """Add the gradients of `match` to d_left and d_right (both zero before), and write d_disparity."""
-    rows, width, channels = left.shape
+    """Add the gradients of `match` to d_left and d_right (both zero before), and write d_disparity; rows as there."""
+    _, width, channels = left.shape
     planes, groups = d_out.shape[2], d_out.shape[3]
     size = channels // groups
-    for row in prange(rows):
+    for row in range(first, last):
         for x in range(width):
             for plane in range(planes):
                 d_disparity[row, x, plane] = 0

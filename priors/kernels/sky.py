@@ -2,26 +2,35 @@
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
+from priors import threads
 from priors.compiled import compiled
 from priors.types import FloatMap, Image, Mask
 
+Floats = npt.NDArray[np.float32]
+STRETCH = 512
+"""Values that a dense layer takes at a time: its line stays in the fastest cache."""
 
-@compiled(parallel=True)
-def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap]:
+
+def shrink(image: Image, factor: int) -> tuple[Floats, FloatMap]:
     """Average blocks of factor x factor pixels of an RGB image; blocks at the right and bottom edge may be smaller.
 
     Returns:
         colour (rows, columns, 3) in [0, 1] and grey's standard deviation in the block (rows, columns).
     """
+    rows, columns = -(-image.shape[0] // factor), -(-image.shape[1] // factor)
+    colour, deviation = np.empty((rows, columns, 3), np.float32), np.empty((rows, columns), np.float32)
+    block = threads.worth(1.5 * factor * image.shape[1])
+    threads.over(rows, lambda first, last: _shrink(image, factor, colour, deviation, first, last), block)
+    return colour, deviation
+
+
+@compiled(error_model="numpy")
+def _shrink(image: Image, factor: int, colour: Floats, deviation: FloatMap, first: int, last: int) -> None:
     height, width, _ = image.shape
-    rows, columns = (height + factor - 1) // factor, (width + factor - 1) // factor
-    colour = np.empty((rows, columns, 3), np.float32)
-    spread_ = np.empty((rows, columns), np.float32)
-    for i in prange(rows):
+    for i in range(first, last):
         top, bottom = i * factor, min(height, (i + 1) * factor)
-        for j in range(columns):
+        for j in range(colour.shape[1]):
             left, right = j * factor, min(width, (j + 1) * factor)
             red, green, blue, total, squares = 0, 0, 0, 0, 0
             for y in range(top, bottom):
@@ -38,12 +47,10 @@ def shrink(image: Image, factor: int) -> tuple[npt.NDArray[np.float32], FloatMap
             colour[i, j, 1] = green / (255.0 * count)
             colour[i, j, 2] = blue / (255.0 * count)
             variance = squares / count - (total / count) ** 2
-            spread_[i, j] = np.sqrt(max(variance, 0.0)) / 255.0
-    return colour, spread_
+            deviation[i, j] = np.sqrt(max(variance, 0.0)) / 255.0
 
 
-@compiled(fastmath=True)
-def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: float) -> FloatMap:
+def grow(start: FloatMap, colour: Floats, slope: float, slack: float) -> FloatMap:
     """Spread costs along the cheapest 8-connected paths: a step costs slope * max(0, |change of colour| - slack).
 
     Two forward and two backward raster sweeps: exact but for paths that wind more often than that.
@@ -54,8 +61,19 @@ def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: 
         slope: cost of a unit of colour change, summed over the channels.
         slack: change that costs nothing, so that a sky that darkens upwards stays one piece.
     """
-    height, width = start.shape
-    cost = start.copy()
+    return grow_all(start[None], colour, slope, slack)[0]
+
+
+def grow_all(starts: FloatMap, colour: Floats, slope: float, slack: float) -> FloatMap:
+    """Spread several costs (n, height, width) as `grow` does one."""
+    costs = starts.copy()
+    threads.run(len(costs), lambda k: _grow(costs[k], colour, slope, slack))
+    return costs
+
+
+@compiled(fastmath=True, error_model="numpy")
+def _grow(cost: FloatMap, colour: Floats, slope: float, slack: float) -> None:
+    height, width = cost.shape
     for sweep in range(4):
         sign = 1 if sweep % 2 == 0 else -1
         for i in range(height):
@@ -75,20 +93,9 @@ def grow(start: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: 
                     )
                     best = min(best, cost[yy, xx] + np.float32(slope) * max(change - np.float32(slack), np.float32(0)))
                 cost[y, x] = best
-    return cost
 
 
-@compiled(parallel=True)
-def grow_all(starts: FloatMap, colour: npt.NDArray[np.float32], slope: float, slack: float) -> FloatMap:
-    """Spread several costs (n, height, width) as `grow` does one."""
-    costs = np.empty_like(starts)
-    for k in prange(starts.shape[0]):
-        costs[k] = grow(starts[k], colour, slope, slack)
-    return costs
-
-
-@compiled(parallel=True)
-def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArray[np.float32]:
+def fit_linear(moments: Floats, smoothing: float) -> Floats:
     """Solve the guided filter's 3x3 systems by Cramer's rule.
 
     Args:
@@ -98,11 +105,20 @@ def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArra
     Returns:
         (rows, columns, 4): a for r, g, b, then b of t = a . colour + b.
     """
-    _, rows, columns = moments.shape
+    rows, columns = moments.shape[1:]
     model = np.empty((rows, columns, 4), np.float32)
-    for i in prange(rows):
-        for j in range(columns):
-            m = moments[:, i, j].astype(np.float64)
+    block = threads.worth(25 * columns)
+    threads.over(rows, lambda first, last: _fit_linear(moments, smoothing, model, first, last), block)
+    return model
+
+
+@compiled(error_model="numpy")
+def _fit_linear(moments: Floats, smoothing: float, model: Floats, first: int, last: int) -> None:
+    m = np.empty(13, np.float64)
+    for i in range(first, last):
+        for j in range(model.shape[1]):
+            for k in range(13):
+                m[k] = moments[k, i, j]
             r, g, b, t = m[0], m[1], m[2], m[3]
             rr, rg, rb = m[4] - r * r + smoothing, m[5] - r * g, m[6] - r * b
             gg, gb, bb = m[7] - g * g + smoothing, m[8] - g * b, m[9] - b * b + smoothing
@@ -114,35 +130,39 @@ def fit_linear(moments: npt.NDArray[np.float32], smoothing: float) -> npt.NDArra
             a2 = (c2 * rt + (rg * rb - rr * gb) * gt + (rr * gg - rg * rg) * bt) * scale
             model[i, j, 0], model[i, j, 1], model[i, j, 2] = a0, a1, a2
             model[i, j, 3] = t - a0 * r - a1 * g - a2 * b
-    return model
 
 
-@compiled(fastmath=True, parallel=True)
 def dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap) -> None:
     """Write a dense layer's answer weights.T @ values + bias (outputs, n) for values (inputs, n).
 
     A matrix library does this no faster, and its threads would spin on for longer than the rest of the mask takes.
     """
-    count, fours = values.shape[1], weights.shape[0] // 4 * 4
-    for stretch in prange(-(-count // 512)):
-        start, end = 512 * stretch, min(count, 512 * (stretch + 1))
+    each_ns = 0.1 * weights.size
+    block = -(-threads.worth(each_ns) // STRETCH) * STRETCH
+    threads.over(values.shape[1], lambda first, last: _dense(values, weights, bias, out, first, last), block)
+
+
+@compiled(fastmath=True, error_model="numpy")
+def _dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap, first: int, last: int) -> None:
+    fours = weights.shape[0] // 4 * 4
+    for start in range(first, last, STRETCH):
+        end = min(last, start + STRETCH)
         for j in range(weights.shape[1]):
             line = out[j, start:end]
             line[:] = bias[j]
             for i in range(0, fours, 4):  # four at a time: the line is read and written a quarter as often
                 a, b, c, d = weights[i, j], weights[i + 1, j], weights[i + 2, j], weights[i + 3, j]
-                first, second = values[i, start:end], values[i + 1, start:end]
-                third, fourth = values[i + 2, start:end], values[i + 3, start:end]
+                one, two = values[i, start:end], values[i + 1, start:end]
+                three, four = values[i + 2, start:end], values[i + 3, start:end]
                 for n in range(end - start):
-                    line[n] += a * first[n] + b * second[n] + c * third[n] + d * fourth[n]
+                    line[n] += a * one[n] + b * two[n] + c * three[n] + d * four[n]
             for i in range(fours, weights.shape[0]):
-                a, first = weights[i, j], values[i, start:end]
+                a, one = weights[i, j], values[i, start:end]
                 for n in range(end - start):
-                    line[n] += a * first[n]
+                    line[n] += a * one[n]
 
 
-@compiled(fastmath=True, parallel=True)
-def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> Mask:
+def apply_linear(image: Image, model: Floats, factor: int) -> Mask:
     """Evaluate a blockwise linear model at every pixel: a . colour + b > 0.5, coefficients interpolated bilinearly.
 
     Args:
@@ -150,9 +170,16 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
         model: (rows, columns, 4): a for red, green and blue in [0, 1], then b; rows and columns as `shrink` gives them.
         factor: the blocks' side, pixels.
     """
-    height, width, _ = image.shape
+    mask = np.empty(image.shape[:2], np.bool_)
+    block = threads.worth(5 * image.shape[1])
+    threads.over(len(image), lambda first, last: _apply_linear(image, model, factor, mask, first, last), block)
+    return mask
+
+
+@compiled(fastmath=True, error_model="numpy")
+def _apply_linear(image: Image, model: Floats, factor: int, mask: Mask, first: int, last: int) -> None:
+    width = image.shape[1]
     rows, columns, _ = model.shape
-    mask = np.empty((height, width), np.bool_)
     block = np.empty(width, np.int64)
     part = np.empty(width, np.float32)
     for x in range(width):
@@ -160,8 +187,8 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
         block[x] = min(int(u), max(columns - 2, 0))
         part[x] = u - block[x]
     scale = np.float32(1 / 255)
-    for y in prange(height):
-        line = np.empty((columns, 4), np.float32)
+    line = np.empty((columns, 4), np.float32)
+    for y in range(first, last):
         v = min(max((y + 0.5) / factor - 0.5, 0.0), rows - 1.0)
         i = min(int(v), max(rows - 2, 0))
         below, f = min(i + 1, rows - 1), np.float32(v - i)
@@ -175,4 +202,3 @@ def apply_linear(image: Image, model: npt.NDArray[np.float32], factor: int) -> M
             for c in range(3):
                 value += (line[j, c] + f * (line[right, c] - line[j, c])) * (np.float32(image[y, x, c]) * scale)
             mask[y, x] = value > np.float32(0.5)
-    return mask

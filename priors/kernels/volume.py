@@ -7,7 +7,6 @@ loops are short and straight, so that they become vectors.
 
 import numpy as np
 import numpy.typing as npt
-from numba import prange
 
 from priors.compiled import compiled
 from priors.kernels.floats import Bits, narrow, widen
@@ -17,17 +16,20 @@ CHUNK = 2048
 """Products that are held at a time: 8 KB, which the fastest cache has."""
 
 
-@compiled(fastmath=True, parallel=True)
-def match(left: Bits, right: Bits, disparity_px: FloatMap, groups: int, also: FloatMap, out: Bits) -> None:
+@compiled(fastmath=True)
+def match(
+    left: Bits, right: Bits, disparity_px: FloatMap, groups: int, also: FloatMap, out: Bits, first: int, last: int
+) -> None:
     """Match features (rows, w, c) at disparities (rows, w, planes), for 3D convolutions.
 
     Written are (rows, w, planes, groups), or one more channel where there is something else to tell each plane:
     also (rows, w, planes), or (0, 0, 0). The channels of a group are a power of two.
+    Done are rows first to last - 1.
     """
-    rows, width, planes = disparity_px.shape
+    _, width, planes = disparity_px.shape
     told = out.shape[3]
-    for row in prange(rows):
-        line = np.empty((width, planes * told), np.float32)
+    line = np.empty((width, planes * told), np.float32)
+    for row in range(first, last):
         _match_row(left[row], right[row], disparity_px[row], groups, (told, 1), line)
         if also.size:
             for x in range(width):
@@ -36,23 +38,30 @@ def match(left: Bits, right: Bits, disparity_px: FloatMap, groups: int, also: Fl
         narrow(line.reshape(-1), out[row].reshape(-1))
 
 
-@compiled(fastmath=True, parallel=True)
+@compiled(fastmath=True)
 def match_beside(
-    before: Bits, left: Bits, right: Bits, disparity_px: FloatMap, groups: int, after: FloatMap, out: Bits
+    before: Bits,
+    left: Bits,
+    right: Bits,
+    disparity_px: FloatMap,
+    groups: int,
+    after: FloatMap,
+    out: Bits,
+    begin: int,
+    end: int,
 ) -> None:
     """Match as `match` does, for 2D convolutions: into out (rows, w, channels), the planes faster than the groups.
 
-    Before the matches stands before (rows, w, b), behind them after (rows, w, a).
+    Before the matches stands before (rows, w, b), behind them after (rows, w, a). Done are rows begin to end - 1.
     """
-    rows, width, planes = disparity_px.shape
+    _, width, planes = disparity_px.shape
     first, matches, more = before.shape[2], planes * groups, after.shape[2]
-    for row in prange(rows):
-        line = np.empty((width, matches + more), np.float32)
+    line, bits = np.empty((width, matches + more), np.float32), np.empty((width, matches + more), out.dtype)
+    for row in range(begin, end):
         _match_row(left[row], right[row], disparity_px[row], groups, (1, planes), line)
         for x in range(width):
             for k in range(more):
                 line[x, matches + k] = after[row, x, k]
-        bits = np.empty((width, matches + more), out.dtype)
         narrow(line.reshape(-1), bits.reshape(-1))
         for x in range(width):
             for k in range(first):
@@ -61,11 +70,13 @@ def match_beside(
                 out[row, x, first + k] = bits[x, k]
 
 
-@compiled(fastmath=True, parallel=True)
-def units(features: Bits, groups: int, out: FloatMap) -> None:
-    """Write features (rows, w, c) with every group of channels of length 1."""
-    for row in prange(features.shape[0]):
-        out[row] = unit(features[row], groups)
+@compiled(fastmath=True)
+def units(features: Bits, groups: int, out: FloatMap, first: int, last: int) -> None:
+    """Write features (rows, w, c) with every group of channels of length 1, rows first to last - 1."""
+    for row in range(first, last):
+        found, line = unit(features[row], groups).reshape(-1), out[row].reshape(-1)
+        for k in range(line.size):
+            line[k] = found[k]
 
 
 @compiled(fastmath=True)
@@ -89,7 +100,8 @@ def _match_row(
         _add_up(product, count * planes * channels, channels // groups)
         if steps == (groups, 1) and out.shape[1] == planes * groups:
             flat = out[start : start + count].reshape(-1)
-            flat[:] = product[: flat.size]
+            for k in range(flat.size):  # assigning a slice would compile numpy's rules of shapes and their errors
+                flat[k] = product[k]
             continue
         for x in range(count):
             line = out[start + x]

@@ -8,6 +8,7 @@ table from score to probability.
 
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import pairwise
 from typing import Any, Self
 
@@ -15,6 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors import threads
 from priors.types import FloatMap
 
 SMALLEST_PX = 0.02
@@ -79,7 +81,11 @@ class Calibration:
         values = np.ascontiguousarray(score, np.float32)
         found = np.empty(values.shape, np.float32)
         table = np.array(self.scores, np.float32), np.array(self.probabilities, np.float32)
-        kernels.interpolate(values.reshape(-1), *table, found.reshape(-1))
+        flat, out = values.reshape(-1), found.reshape(-1)
+        block = threads.worth(0.2 * len(self.scores))
+        threads.over(
+            flat.size, lambda first, last: kernels.interpolate(flat[first:last], *table, out[first:last]), block
+        )
         return found
 
 
@@ -112,7 +118,9 @@ def is_hidden(disparity_px: FloatMap) -> npt.NDArray[np.bool_]:
     from priors.kernels import confidence as kernels
 
     hidden = np.empty(disparity_px.shape, np.bool_)
-    kernels.find_hidden(np.ascontiguousarray(disparity_px, np.float32), HIDDEN_PX, hidden)
+    given = np.ascontiguousarray(disparity_px, np.float32)
+    work = partial(kernels.find_hidden, given, HIDDEN_PX, hidden)
+    threads.over(len(given), work, threads.worth(2 * given.shape[1]))
     return hidden
 
 

@@ -1,9 +1,12 @@
 """What stereo networks take in: pairs in [0, 1] or bytes, any size, brought to two scales by pixel-unshuffle."""
 
+from functools import partial
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from priors import threads
 from priors.nets.bits import as_bits
 from priors.nets.dispatch import without_gradient
 from priors.nets.trunk import MULTIPLE, normalise, pad
@@ -38,5 +41,7 @@ def _unshuffle(left: Tensor, right: Tensor, kind: torch.dtype, factor: int) -> T
     out = torch.empty(2 * batch, rows, columns, channels * factor**2, dtype=kind)
     table = as_bits(normalise(torch.arange(256) / 255).to(kind))
     for view, part in zip((left, right), out.chunk(2), strict=True):
-        kernels.unshuffle(view.permute(0, 2, 3, 1).contiguous().numpy(), table, factor, as_bits(part))
+        pixels, cells = view.permute(0, 2, 3, 1).contiguous().numpy(), as_bits(part)
+        work = partial(kernels.unshuffle, pixels, table, factor, cells)
+        threads.over(batch * rows, work, threads.worth(1.5 * cells[0, 0].size))
     return out.permute(0, 3, 1, 2)

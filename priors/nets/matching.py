@@ -1,11 +1,13 @@
 """Matching features at given disparities: fused kernels on CPUs, plain torch (volume.py) on GPUs and for export."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import torch
 from torch import Tensor
 
+from priors import threads
 from priors.nets import volume
 from priors.nets.bits import as_bits, rows_of_bits
 from priors.nets.blocks import side_by_side
@@ -23,7 +25,7 @@ def unit(features: Tensor, groups: int) -> Tensor:
 
     plain = features.permute(0, 2, 3, 1)
     out = torch.empty(plain.shape)
-    kernels.units(rows_of_bits(plain), groups, out.flatten(0, 1).numpy())
+    _over_rows(kernels.units, rows_of_bits(plain), groups, out.flatten(0, 1).numpy())
     return out
 
 
@@ -36,9 +38,9 @@ def expect(logits: Tensor, position_px: Tensor, window: int | None = None) -> tu
     planes = logits.shape[-1]
     values, positions = as_bits(logits.reshape(-1, planes)), position_px.float().reshape(-1, planes).numpy()
     mean, sigma = torch.empty(logits.shape[:-1]), torch.empty(logits.shape[:-1])
-    kernels.expect(
-        values, positions, planes if window is None else window, mean.view(-1).numpy(), sigma.view(-1).numpy()
-    )
+    reach = planes if window is None else window
+    work = partial(kernels.expect, values, positions, reach, mean.view(-1).numpy(), sigma.view(-1).numpy())
+    threads.over(len(values), work, kernels.STRETCH)
     return mean, sigma
 
 
@@ -62,7 +64,9 @@ def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int, also:
 
     out = torch.empty(*disparity_px.shape, groups + (also is not None), dtype=left.dtype)
     told = torch.empty(0, 0, 0) if also is None else also.flatten(0, 1)
-    kernels.match(*_pair(left, right), _rows(disparity_px), groups, told.numpy(), as_bits(out.flatten(0, 1)))
+    _over_rows(
+        kernels.match, *_pair(left, right), _rows(disparity_px), groups, told.numpy(), as_bits(out.flatten(0, 1))
+    )
     return out.permute(0, 4, 1, 2, 3)
 
 
@@ -91,9 +95,8 @@ def lookup_beside(
     behind = torch.cat(list(after), dim=3)
     channels = first.shape[3] + groups * disparity_px.shape[3] + behind.shape[3]
     out = torch.empty(*first.shape[:3], channels, dtype=first.dtype)
-    kernels.match_beside(
-        rows_of_bits(first), *_pair(left, right), _rows(disparity_px), groups, _rows(behind), as_bits(out.flatten(0, 1))
-    )
+    rows = rows_of_bits(first), *_pair(left, right), _rows(disparity_px)
+    _over_rows(kernels.match_beside, *rows, groups, _rows(behind), as_bits(out.flatten(0, 1)))
     return out.permute(0, 3, 1, 2)
 
 
@@ -128,7 +131,8 @@ class _Match(torch.autograd.Function):
         from priors.kernels import lookup as kernels
 
         out = torch.empty(*disparity_px.shape, groups)
-        kernels.match(*(_rows(t) for t in (left, right, disparity_px)), groups, out.flatten(0, 1).numpy())
+        rows = [_rows(t) for t in (left, right, disparity_px)]
+        _over_rows(kernels.match, *rows, groups, out.flatten(0, 1).numpy())
         return out.to(left.dtype)
 
     @staticmethod
@@ -139,8 +143,14 @@ class _Match(torch.autograd.Function):
         rows = [_rows(t) for t in (left, right, disparity_px)]
         d_left, d_right = torch.zeros(left.shape), torch.zeros(right.shape)
         d_disparity = torch.empty(disparity_px.shape)
-        kernels.match_backward(*rows, _rows(d_out[0]), *(_rows(t) for t in (d_left, d_right, d_disparity)))
+        _over_rows(kernels.match_backward, *rows, _rows(d_out[0]), *(_rows(t) for t in (d_left, d_right, d_disparity)))
         return d_left.to(left.dtype), d_right.to(right.dtype), d_disparity.to(disparity_px.dtype), None
+
+
+def _over_rows(kernel: Any, *arrays: Any) -> None:
+    """Run a kernel over the rows of its arrays, the last of which is the largest or as large as any."""
+    rows = arrays[-1]
+    threads.over(len(rows), partial(kernel, *arrays), threads.worth(arrays[0][:1].size + rows[:1].size))
 
 
 def _rows(tensor: Tensor) -> Any:

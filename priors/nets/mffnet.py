@@ -7,12 +7,14 @@ memory traffic is kept low: at 1/2 of the image's size a copy costs as much as a
 """
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import pairwise
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from priors import threads
 from priors.errors import DataError
 from priors.nets.bits import as_bits
 from priors.nets.blocks import Residual, conv
@@ -139,7 +141,9 @@ def _correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, ...]:
 
     depth, scale = torch.empty_like(log_fill), torch.empty_like(log_fill)
     cells = as_bits(raw.permute(0, 2, 3, 1))
-    kernels.correct(cells, log_fill.float().numpy(), LARGEST_CHANGE, depth.numpy(), scale.numpy())
+    work = partial(kernels.correct, cells, log_fill.float().numpy(), LARGEST_CHANGE, depth.numpy(), scale.numpy())
+    batch, height, width = depth.shape
+    threads.over(batch * height, work, threads.worth(5 * width))
     return depth, scale
 
 

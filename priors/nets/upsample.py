@@ -1,9 +1,12 @@
 """Convex upsampling: every fine pixel is a learned average of its 3x3 coarse neighbours (RAFT, Teed and Deng, 2020)."""
 
+from functools import partial
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from priors import threads
 from priors.nets.bits import as_bits
 from priors.nets.dispatch import without_gradient
 
@@ -42,5 +45,6 @@ def _on_cpu(values: Tensor, weights: Tensor, factor: int) -> Tensor:
     batch, channels, height, width = values.shape
     out = torch.empty(batch, channels, factor * height, factor * width)
     logits = as_bits(weights.permute(0, 2, 3, 1))
-    kernels.upsample(values.float().contiguous().numpy(), logits, factor, LARGEST, out.numpy())
+    work = partial(kernels.upsample, values.float().contiguous().numpy(), logits, factor, LARGEST, out.numpy())
+    threads.over(batch * height, work, threads.worth(2 * logits[0, 0].size))
     return out

@@ -19,6 +19,7 @@ from tempfile import TemporaryDirectory
 from typing import Literal
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it
+os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 from bench_completion import recipe
