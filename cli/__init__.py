@@ -2,6 +2,7 @@
 
 import os
 
-# As priors/__init__.py has it: here it comes before anything imports numpy.
+# What libraries read when they load, before anything here imports them: their threads sleep, as priors/threads.py has
+# it for programs that loaded them before us.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -30,7 +30,8 @@ OPENMP = "OMP_NUM_THREADS"
 
 _asked: int | None = None
 _pool: list["SimpleQueue[_Job]"] = []
-_growing = threading.Lock()
+_growing, _changing = threading.Lock(), threading.Lock()
+_holders, _hold = 0, None  # of the matrix libraries' threads
 
 
 def available() -> int:
@@ -47,10 +48,10 @@ def usual() -> int:
 
 
 def count() -> int:
-    """Return how many threads a call uses: what `limited` says, else what PyTorch is set to, else every core."""
+    """Return how many threads a call uses: what `limited` says, else what PyTorch is set to, else the usual number."""
     if _asked is not None:
         return _asked
-    return int(sys.modules["torch"].get_num_threads()) if "torch" in sys.modules else available()
+    return int(sys.modules["torch"].get_num_threads()) if "torch" in sys.modules else usual()
 
 
 @contextmanager
@@ -58,14 +59,15 @@ def limited(threads: int | None) -> Iterator[None]:
     """Let every call inside use so many threads, ours and the libraries'; None: as many as outside.
 
     OpenBLAS gets one: its threads spin for a tenth of a second after each product, and our products are small. PyTorch,
-    where it is not there yet, is told by a variable that it reads when it loads.
+    where it is not there yet, is told by a variable that it reads when it loads. Serves as a decorator too.
     Raises DataError for less than one.
     """
     global _asked
     if threads is not None and threads < 1:
         raise DataError(f"expected 1 thread or more, found {threads}")
     before = _asked
-    with _blas().limit(limits=1, user_api="blas"), ExitStack() as undo:
+    calm()
+    with _one_blas_thread(), ExitStack() as undo:
         if threads is not None:
             undo.callback(_limit_opencv(threads))
             undo.callback(_limit_torch(threads))
@@ -117,6 +119,48 @@ def quiet() -> Iterator[None]:
         yield
 
 
+def calm() -> None:
+    """Let PyTorch's threads sleep soon after their work, once it is loaded; costs a parked thread, once a process."""
+    if "torch" in sys.modules:
+        _park()
+
+
+@cache
+def _park() -> None:
+    """Keep an idle team of OpenMP threads.
+
+    GNU's OpenMP spins for milliseconds after each of its regions, on the cores that our threads then need, unless it
+    has more threads than there are cores ("GOMP_SPINCOUNT" in libgomp's manual). OMP_WAIT_POLICY would do it too, but
+    it is read when PyTorch loads, and a program may import that before us.
+    """
+    ready = threading.Event()
+
+    def park() -> None:
+        sys.modules["torch"].zeros(1 << 17).exp_()  # large enough for a team
+        ready.set()
+        threading.Event().wait()
+
+    threading.Thread(target=park, name="roadprior-parked", daemon=True).start()
+    ready.wait(timeout=1)
+
+
+@contextmanager
+def _one_blas_thread() -> Iterator[None]:
+    """Hold the matrix libraries to one thread until the last of all threads that ask for it is done."""
+    global _holders, _hold
+    with _changing:
+        _holders += 1
+        if _holders == 1:
+            _hold = _blas().limit(limits=1, user_api="blas")
+    try:
+        yield
+    finally:
+        with _changing:
+            _holders -= 1
+            if not _holders:
+                _hold.restore_original_limits()
+
+
 @cache
 def _blas() -> "ThreadpoolController":
     """Return the handle of the matrix libraries that are loaded by now; looking for them takes milliseconds."""
@@ -136,6 +180,7 @@ def run(tasks: int, work: Work) -> None:
         for task in range(tasks):
             work(task)
         return
+    calm()
     job = _Job(tasks, work)
     for queue in _helpers(helpers):
         queue.put(job)
@@ -208,9 +253,10 @@ def _serve(queue: "SimpleQueue[_Job]") -> None:
 
 def _forget() -> None:
     """Threads do not live on in a forked process: it starts its own."""
-    global _growing
+    global _growing, _changing
     _pool.clear()
-    _growing = threading.Lock()
+    _park.cache_clear()
+    _growing, _changing = threading.Lock(), threading.Lock()
 
 
 if hasattr(os, "register_at_fork"):

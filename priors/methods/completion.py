@@ -22,6 +22,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors import threads
 from priors.errors import DataError
 from priors.methods.lidar import Lidar
 from priors.sky import doubt, sky_mask
@@ -82,6 +83,7 @@ class Completion:
         """Return what a frame must have."""
         return ("image", "sparse" if self.source == "velodyne_raw" else "sweep")
 
+    @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
         """Return the config with the source decided."""
         source = self.source
@@ -105,6 +107,7 @@ class Completion:
 
         return weights.digest(weights.find(self.model, self.size, self.weights))
 
+    @threads.limited(None)
     def __call__(self, frame: Frame) -> Depth:
         """Make the dense map (height, width), metres along the camera's z axis; the sky's confidence is 0.
 

@@ -14,6 +14,7 @@ from typing import Self
 import cv2
 import numpy as np
 
+from priors import threads
 from priors.errors import DataError
 from priors.geometry import invert
 from priors.types import Depth, FloatMap, Frame, Mask, Matrix, Sweep
@@ -56,11 +57,13 @@ class Lidar:
         """Return what a frame must have."""
         return ("sweep",)
 
+    @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
         """Return the config as it will work on this drive: without poses or a second camera, parts are off."""
         sweeps = self.sweeps if frame.T_world_cam is not None else 1
         return replace(self, sweeps=sweeps, stereo=self.stereo and frame.baseline_m is not None)
 
+    @threads.limited(None)
     def __call__(self, frame: Frame) -> Depth:
         """Make the depth map (height, width), metres along the camera's z axis.
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, Self
 
 import numpy as np
 
-from priors import align
+from priors import align, threads
 from priors.align import Alignment
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
@@ -77,6 +77,7 @@ class Mono:
         per_frame = self.align != "none" and self.align_per == "frame"
         return ("image", *(READS.get(self.align_to, ()) if per_frame else ()))
 
+    @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
         """Return the config with every 'auto' decided; what decides nothing is reset, so that it is not in the key."""
         fresh = type(self)()
@@ -140,6 +141,7 @@ class Mono:
         on_note(f"mono: one line for the drive, in {line.space}: scale {line.scale:.4g}, shift {line.shift:.4g}")
         return lambda frame: self._finish(predict, frame, line)
 
+    @threads.limited(None)
     def __call__(self, frame: Frame) -> Depth:
         """Make the depth map (height, width), metres along the camera's z axis; no value in the sky.
 

@@ -7,6 +7,7 @@ from typing import Literal, Self
 
 import numpy as np
 
+from priors import threads
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
 from priors.matching import largest_disparity, match, quarter_match
@@ -61,6 +62,7 @@ class Stereo:
         """Return what a frame must have."""
         return ("image", "other")
 
+    @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
         """Return the config with the runtime chosen, and the offset measured on this frame or the rig's usual one."""
         resolved = self
@@ -92,6 +94,7 @@ class Stereo:
             )
         return self
 
+    @threads.limited(None)
     def __call__(self, frame: Frame) -> Depth:
         """Make the depth map (height, width), metres along the camera's z axis; the sky's confidence is 0.
 

@@ -10,7 +10,6 @@ KITTI's usual offset, and with the one that the first frame's LiDAR sweep gives 
 """
 
 import argparse
-import os
 import resource
 import subprocess
 import sys
@@ -18,9 +17,6 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 from scatter import Dot, scatter

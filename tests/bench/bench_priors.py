@@ -10,16 +10,12 @@ round.
 """
 
 import argparse
-import os
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Literal
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it
-os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 
 import numpy as np
 from bench_completion import recipe
