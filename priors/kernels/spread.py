@@ -180,5 +180,6 @@ def finish(
         for x in range(width):  # two loops: vector code gives up on more than a few arrays
             depth_m[y, x] = np.float32(near[y, x]) / min(max(soft[y, x], least), most)
         for x in range(width):
-            crispness = crisp[y, x] / (crisp[y, x] + edge * abs(soft[y, x] - crisp[y, x]))
+            before = max(crisp[y, x], least)  # planes through far too few samples run below 0
+            crispness = before / (before + edge * abs(soft[y, x] - before))
             confidence[y, x] = np.float32(near[y, x]) * certainty[x] * crispness
