@@ -63,7 +63,7 @@ class Climb(nn.Sequential):
     """
 
     def forward(self, small: Tensor, plus: Tensor) -> Tensor:
-        """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes); returns the latter's size."""
+        """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes)."""
         return plus + super().forward(F.interpolate(small, scale_factor=2.0, mode="nearest"))
 
 

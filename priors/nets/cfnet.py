@@ -14,11 +14,13 @@ import torch
 from torch import Tensor, nn
 
 from priors.nets.blocks import Climb, Residual, both, conv, conv3d
-from priors.nets.coarse import WIDTHS, Coarse, per_pixel
+from priors.nets.coarse import WIDTHS, Coarse
+from priors.nets.dispatch import is_traced
 from priors.nets.intake import take_in
 from priors.nets.join import join
 from priors.nets.matching import expect, lookup, lookup_beside
 from priors.nets.outputs import Matched, StereoOut, finer
+from priors.nets.planes import weigh
 from priors.nets.trunk import SIZES, Trunk
 
 QUARTER_PLANES, HALF_PLANES = 8, 6
@@ -41,6 +43,8 @@ class Range(nn.Module):
         low = (disparity_px - half).clamp(min=0)
         step = (disparity_px + half - low) / (self.planes - 1)
         number = torch.arange(self.planes, device=low.device, dtype=torch.float32)
+        if is_traced():  # the same, laid out as what follows reads it
+            return (low[:, None] + step[:, None] * number[:, None, None]).permute(0, 2, 3, 1)
         return low[..., None] + step[..., None] * number
 
 
@@ -63,7 +67,7 @@ class Quarter(nn.Module):
         position = self.range(disparity_px, sigma_px)
         where = (position - disparity_px[..., None]) * 0.2
         match = lookup(self.head(left), self.head(right), position, self.groups, where)
-        volume = self.first(match) * per_pixel(torch.sigmoid(self.gate(left)))
+        volume = weigh(self.first(match), torch.sigmoid(self.gate(left)))
         volume = self.up(self.down(volume), volume)
         logits = self.last(volume).squeeze(1)
         return Matched(*expect(logits, position), logits, position)

@@ -23,6 +23,7 @@ from torch import Tensor, nn
 
 from priors import codecs
 from priors.errors import DataError
+from priors.nets.planes import portable
 from priors.nets.runtime import Ready
 
 OPSET = 17
@@ -66,7 +67,7 @@ def to_onnx(ready: Ready, size: tuple[int, int], largest_px: int) -> bytes:
         path = Path(folder) / "graph.onnx"
         warnings.simplefilter("ignore")  # of shapes that become constants: that is what is wanted
         torch.onnx.export(
-            _Flat(ready.net, largest_px).eval(),
+            _Flat(portable(ready.net), largest_px).eval(),
             (example[0], example[1]),
             path,
             input_names=["left", "right"],

@@ -156,7 +156,7 @@ class FusedClimb(nn.Module):
         self.conv = FusedConv(split_by_place(conv), climb[-1])
 
     def forward(self, small: Tensor, plus: Tensor) -> Tensor:
-        """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes); returns the latter's size."""
+        """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes)."""
         from priors.kernels import climb as kernels
 
         found, given = (volume.permute(0, 2, 3, 4, 1) for volume in (self.conv(small), plus))
@@ -167,10 +167,10 @@ class FusedClimb(nn.Module):
 
 
 def split_by_place(conv: nn.Conv3d) -> nn.Conv3d:
-    """Return the 2x2x2 convolution that gives, for the eight kinds of place, what a 3x3x3 one gives of a repeated volume.
+    """Return the 2x2x2 convolution that gives what a 3x3x3 one gives of a repeated volume, for eight kinds of place.
 
-    Of (b, c, h, w, d) it makes (b, 8 * outputs, h + 1, w + 1, d + 1), the kinds varying slowest: even or odd row, column,
-    plane. What belongs to the place 2 * (i, j, k) + kind is at (i, j, k) + kind.
+    Of (b, c, h, w, d) it makes (b, 8 * outputs, h + 1, w + 1, d + 1), the kinds varying slowest: even or odd row,
+    column, plane. What belongs to the place 2 * (i, j, k) + kind is at (i, j, k) + kind.
     """
     taps = conv.weight.new_tensor([[[1, 0, 0], [0, 1, 1]], [[1, 1, 0], [0, 0, 1]]], dtype=torch.float32)
     weight = torch.einsum("oiabc,pxa,qyb,rzc->pqroixyz", conv.weight.detach().float(), taps, taps, taps)
