@@ -62,7 +62,7 @@ class Climb(nn.Sequential):
     Repeating first and convolving then is how it was learned; fused.py and planes.py know quicker ways to the same.
     """
 
-    def forward(self, small: Tensor, plus: Tensor) -> Tensor:
+    def forward(self, small: Tensor, plus: Tensor) -> Tensor:  # type: ignore[override]
         """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes)."""
         return plus + super().forward(F.interpolate(small, scale_factor=2.0, mode="nearest"))
 

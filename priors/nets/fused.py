@@ -6,6 +6,7 @@ another device, the network stays as it is.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeGuard, TypeVar
 
 import torch
@@ -30,7 +31,8 @@ def fuse(net: Net) -> Net:
     The result computes the same up to the rounding of what is no longer rounded in between; it cannot be trained,
     moved or exported.
     """
-    if not available():
+    kinds = {p.dtype for p in net.parameters() if p.is_floating_point()}
+    if not all(available(kind) for kind in kinds):
         return net
     for name, child in list(net.named_children()):
         if isinstance(child, FUSED):
@@ -50,11 +52,12 @@ def fuse(net: Net) -> Net:
     return net
 
 
-def available() -> bool:
-    """Tell whether this torch has the operators and can run them."""
+@cache
+def available(kind: torch.dtype = torch.float32) -> bool:
+    """Tell whether this torch has the operators and this CPU can run them on numbers of a kind."""
     try:
-        x = torch.zeros(1, 16, 4, 4).to(memory_format=torch.channels_last)
-        FusedConv(nn.Conv2d(16, 16, 3, padding=1), nn.ReLU())(x)
+        x = torch.zeros(1, 16, 4, 4, dtype=kind).to(memory_format=torch.channels_last)
+        FusedConv(nn.Conv2d(16, 16, 3, padding=1).requires_grad_(False).to(kind), nn.ReLU())(x)
     except (RuntimeError, AttributeError):
         return False
     return True

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from priors import cpu
 from priors.colours import as_rgb
 from priors.errors import DataError
-from priors.nets import weights
+from priors.nets import speeds, weights
 from priors.nets.blocks import channels_last, fold
 from priors.nets.fused import fuse
 from priors.nets.memory import keep_freed
@@ -26,15 +26,13 @@ from priors.types import Image
 
 Runtime = Literal["bf16", "fp32", "cuda", "onnx"]
 Asked = Literal["auto", "bf16", "fp32", "cuda", "onnx"]
-FAST_BF16 = ("amx", "avx512_bf16")
-"""CPU modes (priors/cpu.py) that make bf16 the fast path."""
 
 _LOADING, _FORWARD = threading.Lock(), threading.Lock()
 _loaded: dict[tuple[Any, ...], "Ready"] = {}
 
 
-def choose(asked: Asked, file: Path | None = None) -> Runtime:
-    """Decide 'auto': a file's own runtime, else CUDA where there is one, bf16 where the CPU has it, else fp32.
+def choose(asked: Asked, file: Path | None = None, net: str | None = None) -> Runtime:
+    """Decide 'auto': a file's own runtime, else CUDA where there is one, else what speeds.py's table says of the net.
 
     Raises DataError where what was asked for is not there.
     """
@@ -44,7 +42,7 @@ def choose(asked: Asked, file: Path | None = None) -> Runtime:
             return "onnx"
         if torch.cuda.is_available():
             return "cuda"
-        return "bf16" if cpu.mode() in FAST_BF16 else "fp32"
+        return speeds.fastest(cpu.mode(), net)
     if is_onnx and asked != "onnx":
         raise DataError(f"{file}: an ONNX file runs with runtime onnx, not {asked}")
     if asked == "cuda" and not torch.cuda.is_available():
