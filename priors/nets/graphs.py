@@ -152,6 +152,6 @@ def open_portable(name: str, size: str, file: Path | None = None) -> Portable:
     return _open(name, size, path, weights.digest(path))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _open(name: str, size: str, path: Path, _digest: str) -> Portable:
     return Portable(open_net(name, size, "onnx", path), name)

@@ -2,9 +2,11 @@
 
     python tests/bench/bench_runtimes.py
     python tests/bench/bench_runtimes.py --write --machine "2 cores of AMD EPYC (Zen 4)"
+    python tests/bench/bench_runtimes.py --processor-time --nets cfnet --rounds 5
 
 Each kind runs in a process of its own, held down by ROADPRIOR_CPU (priors/cpu.py). Methods run in turn with OpenCV's
 3-way SGBM at 192 disparities, on one pair in memory; a figure is the median over pairs of runs that stood side by side.
+--processor-time is for a machine that others use: one thread each, and its processor's time instead of the clock's.
 --write puts the table where `--runtime auto` reads it: priors/nets/speeds.json. A kind that is not this machine's own
 is marked: its instructions are real, its caches and clock are this machine's. onnxruntime cannot be held down: it uses
 AVX-512 where the CPU has it and bf16 nowhere, so that its time counts for both kinds with AVX-512 and for no other.
@@ -23,6 +25,7 @@ from typing import Any
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it
 
+import cv2
 import numpy as np
 from stereo_contestants import sgbm
 
@@ -46,13 +49,11 @@ def main() -> None:
     """Print the table; write it."""
     options = parse()
     if options.here:
-        print(json.dumps(measure(options.data, options.frame, options.rounds)))
+        print(json.dumps(measure(options)))
         return
     modes: dict[str, Any] = {}
-    print("| CPU | network | ms of SGBM | bf16 | fp32 | onnx |\n|---|---|---:|---:|---:|---:|")
-    for mode in cpu.supported():
-        if mode == "amx_emulated":
-            continue
+    print("| CPU | network | SGBM ms | bf16 | fp32 | onnx |\n|---|---|---:|---:|---:|---:|")
+    for mode in options.modes or [mode for mode in cpu.supported() if mode != "amx_emulated"]:
         own = mode == cpu.supported()[0]
         found = in_process(mode, options)
         modes[mode] = {"measured": "natively" if own else "held down", "ratios": found["ratios"]}
@@ -60,7 +61,8 @@ def main() -> None:
             cells = " | ".join(f"{ratios[runtime]:.2f}" if runtime in ratios else "-" for runtime in RUNTIMES)
             print(f"| {mode}{'' if own else ' (held down)'} | {net} | {found['sgbm_ms']:.0f} | {cells} |", flush=True)
     if options.write:
-        text = json.dumps({"machine": options.machine, "modes": modes}, indent=1)
+        clocked = "processor's time of one thread" if options.processor_time else "time on all cores"
+        text = json.dumps({"machine": options.machine, "what": f"{clocked}, SGBM's = 1", "modes": modes}, indent=1)
         codecs.write_bytes(speeds.FILE, (text + "\n").encode())
         print(f"\nwrote {speeds.FILE}")
 
@@ -71,6 +73,9 @@ def parse() -> argparse.Namespace:
     parser.add_argument("--data", type=Path, default=DRIVE, help="a drive with pairs and sweeps")
     parser.add_argument("--frame", type=int, default=30)
     parser.add_argument("--rounds", type=int, default=9, help="timings of each")
+    parser.add_argument("--nets", nargs="+", default=list(NETS), choices=list(NETS))
+    parser.add_argument("--modes", nargs="+", help="kinds to measure; default: all that this machine can stand in for")
+    parser.add_argument("--processor-time", action="store_true", help="one thread each, its processor's time")
     parser.add_argument("--write", action="store_true", help="write the table that auto reads")
     parser.add_argument("--machine", default="unnamed", help="what the table says it was measured on")
     parser.add_argument("--here", action="store_true", help="measure this process's kind only, print JSON")
@@ -79,7 +84,8 @@ def parse() -> argparse.Namespace:
 
 def in_process(mode: str, options: argparse.Namespace) -> dict[str, Any]:
     """Measure a kind in a process of its own."""
-    own = ("--data", str(options.data), "--frame", str(options.frame), "--rounds", str(options.rounds))
+    own = ["--data", str(options.data), "--frame", str(options.frame), "--rounds", str(options.rounds)]
+    own += ["--nets", *options.nets, *(["--processor-time"] if options.processor_time else [])]
     command = [sys.executable, __file__, "--here", *own]
     environment = {**os.environ, cpu.VARIABLE: mode}
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=environment)
@@ -87,17 +93,22 @@ def in_process(mode: str, options: argparse.Namespace) -> dict[str, Any]:
     return found
 
 
-def measure(data: Path, number: int, rounds: int) -> dict[str, Any]:
+def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Return SGBM's milliseconds and each network's times over it, after one run each that is not counted."""
     import torch
 
-    frame = in_memory(open_drive(data, options=DriveOptions())[number])
-    runs = {(net, how): method(net, how, frame) for net in NETS for how in RUNTIMES if counts(how, torch.bfloat16)}
+    frame = in_memory(open_drive(options.data, options=DriveOptions())[options.frame])
+    runtimes = [how for how in RUNTIMES if counts(how, torch.bfloat16)]
+    runs = {(net, how): method(net, how, frame) for net in options.nets for how in runtimes}
+    now = time.process_time if options.processor_time else time.perf_counter
+    if options.processor_time:
+        torch.set_num_threads(1)
+        cv2.setNumThreads(1)
     seconds: dict[Any, list[float]] = {key: [] for key in ("sgbm", *runs)}
     peer: list[float] = []
-    for count in range(rounds + 1):
+    for count in range(options.rounds + 1):
         for key, run in runs.items():
-            theirs, ours = clock(lambda: sgbm(frame)), clock(run)
+            theirs, ours = clock(lambda: sgbm(frame), now), clock(run, now)
             if count:
                 peer.append(theirs)
                 seconds[key].append(ours / theirs)
@@ -118,11 +129,11 @@ def _own() -> str:
     return cpu.supported()[0]
 
 
-def clock(run: Callable[[], Any]) -> float:
+def clock(run: Callable[[], Any], now: Callable[[], float]) -> float:
     """Return the seconds of a call."""
-    start = time.perf_counter()
+    start = now()
     run()
-    return time.perf_counter() - start
+    return now() - start
 
 
 def in_memory(frame: Frame) -> Frame:
