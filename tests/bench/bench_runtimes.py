@@ -87,7 +87,8 @@ def in_process(mode: str, options: argparse.Namespace) -> dict[str, Any]:
     own = ["--data", str(options.data), "--frame", str(options.frame), "--rounds", str(options.rounds)]
     own += ["--nets", *options.nets, *(["--processor-time"] if options.processor_time else [])]
     command = [sys.executable, __file__, "--here", *own]
-    environment = {**os.environ, cpu.VARIABLE: mode}
+    alone = {"NUMBA_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"} if options.processor_time else {}
+    environment = {**os.environ, **alone, cpu.VARIABLE: mode}  # threads that wait for each other burn processor time
     done = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=environment)
     found: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])
     return found
@@ -97,13 +98,13 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Return SGBM's milliseconds and each network's times over it, after one run each that is not counted."""
     import torch
 
+    if options.processor_time:  # before anything has run on more: idle threads of OpenMP burn processor time
+        torch.set_num_threads(1)
+        cv2.setNumThreads(1)
     frame = in_memory(open_drive(options.data, options=DriveOptions())[options.frame])
     runtimes = [how for how in RUNTIMES if counts(how, torch.bfloat16)]
     runs = {(net, how): method(net, how, frame) for net in options.nets for how in runtimes}
     now = time.process_time if options.processor_time else time.perf_counter
-    if options.processor_time:
-        torch.set_num_threads(1)
-        cv2.setNumThreads(1)
     seconds: dict[Any, list[float]] = {key: [] for key in ("sgbm", *runs)}
     peer: list[float] = []
     for count in range(options.rounds + 1):
