@@ -1,7 +1,7 @@
 """Run networks: picks bf16, fp32, CUDA or onnxruntime from a table, loads each network once a process.
 
-What was measured on a 2-core machine with AMX (docs/benchmarks.md): weights cast to bf16 once and channels-last memory
-run dense convolutions 4 to 10 times as fast as fp32; onnxruntime runs as fast as fp32. Nothing is measured at run time.
+Weights are cast once, memory is channels-last, convolutions are fused with what follows them. What is fastest differs
+with the CPU (speeds.py, docs/benchmarks.md). Nothing is measured at run time.
 """
 
 import threading

@@ -60,11 +60,15 @@ def main() -> None:
         for net, ratios in found["ratios"].items():
             cells = " | ".join(f"{ratios[runtime]:.2f}" if runtime in ratios else "-" for runtime in RUNTIMES)
             print(f"| {mode}{'' if own else ' (held down)'} | {net} | {found['sgbm_ms']:.0f} | {cells} |", flush=True)
-    if options.write:
-        clocked = "processor's time of one thread" if options.processor_time else "time on all cores"
-        text = json.dumps({"machine": options.machine, "what": f"{clocked}, SGBM's = 1", "modes": modes}, indent=1)
-        codecs.write_bytes(speeds.FILE, (text + "\n").encode())
-        print(f"\nwrote {speeds.FILE}")
+        if options.write:
+            write(options, modes)
+
+
+def write(options: argparse.Namespace, modes: dict[str, Any]) -> None:
+    """Put the kinds measured so far where `--runtime auto` reads them."""
+    clocked = "processor's time of one thread" if options.processor_time else "time on all cores"
+    table = {"machine": options.machine, "what": f"{clocked}, SGBM's = 1", "modes": modes}
+    codecs.write_bytes(speeds.FILE, (json.dumps(table, indent=1) + "\n").encode())
 
 
 def parse() -> argparse.Namespace:
