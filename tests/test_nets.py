@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 from torch import Tensor, nn
 
 from priors.nets import matching, volume
-from priors.nets.blocks import Exact, Residual, channels_last, conv, conv3d, fold
+from priors.nets.blocks import Climb, Exact, Residual, both, channels_last, conv, conv3d, fold
 from priors.nets.cfnet import Cfnet, Range
-from priors.nets.fused import available, fuse, spread_over_planes
+from priors.nets.fused import FusedExact, available, fuse, spread_over_planes
 from priors.nets.intake import take_in
 from priors.nets.join import join
 from priors.nets.outputs import StereoOut
@@ -189,6 +189,39 @@ def test_a_3d_convolution_to_one_channel_is_a_2d_one(planes: int) -> None:
 
 
 @pytest.mark.skipif(not available(), reason="this torch build has no fused convolutions")
+@pytest.mark.parametrize("kind", [torch.float32, torch.bfloat16])
+def test_a_fused_climb_equals_repeating_and_convolving(kind: torch.dtype) -> None:
+    generator = torch.Generator().manual_seed(0)
+    climb = fold(Climb(*conv3d(8, 5)).eval()).requires_grad_(False).to(kind)
+    nn.init.normal_(climb[0].bias, generator=generator)
+    small, plus = torch.randn(2, 8, 3, 4, 2, generator=generator), torch.randn(2, 5, 6, 8, 4, generator=generator)
+    small, plus = (v.to(kind).contiguous(memory_format=torch.channels_last_3d) for v in (small, plus))
+    fused = fuse(channels_last(nn.ModuleList([climb])))
+    found, expected = fused[0](small, plus), climb.float()(small.float(), plus.float())
+    limit = 1e-5 if kind == torch.float32 else 0.03
+    torch.testing.assert_close(found.float(), expected, atol=limit, rtol=limit)
+    assert fuse(fused)[0] is fused[0]  # once is enough
+
+
+@pytest.mark.skipif(not available(), reason="this torch build has no fused convolutions")
+def test_a_fused_head_in_float32_needs_no_second_pass() -> None:
+    head = fold(Exact(conv3d(8, 8), nn.Conv3d(8, 1, 3, padding=1)).eval()).requires_grad_(False)
+    volume_ = torch.randn(1, 8, 5, 6, 4).contiguous(memory_format=torch.channels_last_3d)
+    expected = head(volume_)
+    fused = fuse(channels_last(nn.ModuleList([head])))[0]
+    assert isinstance(fused, FusedExact)
+    torch.testing.assert_close(fused(volume_), expected, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("kind", [torch.float32, torch.bfloat16])
+def test_two_heads_in_one_pass_are_two_heads(kind: torch.dtype) -> None:
+    x = torch.randn(2, 8, 5, 6).to(kind).contiguous(memory_format=torch.channels_last)
+    first, second = (nn.Conv2d(8, n, 3, padding=1).to(kind) for n in (6, 1))
+    for found, expected in zip(both(x, first, second), (first(x), second(x)), strict=True):
+        torch.testing.assert_close(found, expected, atol=1e-5 if kind == torch.float32 else 0.02, rtol=1e-2)
+
+
+@pytest.mark.skipif(not available(torch.bfloat16), reason="no fused convolutions in bf16 here")
 @pytest.mark.parametrize("after", [nn.ReLU(), nn.LeakyReLU(0.3)], ids=["relu", "leaky"])
 def test_a_fused_head_is_as_exact_as_float32(after: nn.Module) -> None:
     torch.manual_seed(0)

@@ -3,7 +3,7 @@
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -12,8 +12,9 @@ from conftest import RealData
 from standin import Standin, install
 
 from priors import codecs
+from priors.cpu import Mode
 from priors.errors import DataError
-from priors.nets import runtime, weights
+from priors.nets import runtime, speeds, weights
 from priors.nets.blocks import fold
 from priors.nets.runtime import as_input, as_map, choose, make_ready, open_net
 
@@ -128,22 +129,57 @@ def test_threads_load_once_and_get_what_one_gets(tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize(
-    ("flags", "cuda", "expected"),
+    ("mode", "cuda", "expected"),
     [
-        ({"avx2", "amx_bf16"}, False, "bf16"),
-        ({"avx512_bf16"}, False, "bf16"),
-        ({"avx2", "avx512f"}, False, "fp32"),
-        (set(), False, "fp32"),
-        ({"amx_bf16"}, True, "cuda"),
+        ("amx", False, "bf16"),
+        ("avx512_bf16", False, "bf16"),
+        ("avx512", False, "fp32"),
+        ("avx2", False, "fp32"),
+        ("plain", False, "fp32"),
+        ("amx", True, "cuda"),
     ],
 )
-def test_auto_is_a_table(flags: Any, cuda: bool, expected: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(runtime, "cpu_flags", lambda: flags)
+def test_auto_is_a_table(mode: Any, cuda: bool, expected: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(runtime.cpu, "mode", lambda: mode)
     monkeypatch.setattr(torch.cuda, "is_available", lambda: cuda)
     assert choose("auto") == expected
     assert choose("fp32") == "fp32"
     assert choose("auto", Path("a.onnx")) == "onnx"
     assert choose("auto", Path("a.safetensors")) == expected
+
+
+def test_auto_follows_the_measured_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = {
+        "avx512_bf16": {"ratios": {"cfnet": {"bf16": 3.0, "fp32": 2.0, "onnx": 2.5}}},
+        "avx2": {"ratios": {"cfnet": {"fp32": 6.0, "onnx": 5.0}}},
+    }
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    monkeypatch.setattr(speeds, "table", lambda: {"machine": "a test", "modes": measured})
+    chosen = {}
+    for onnx in (True, False):
+        monkeypatch.setattr(speeds, "has_onnx", lambda there=onnx: there)
+        for mode in ("avx512_bf16", "avx2", "plain"):
+            monkeypatch.setattr(runtime.cpu, "mode", lambda mode=mode: mode)
+            chosen[mode, onnx] = choose("auto", None, "cfnet")
+            assert choose("auto", None, "pcwnet") == ("bf16" if mode == "avx512_bf16" else "fp32")  # not measured
+    assert chosen == {
+        ("avx512_bf16", True): "fp32",
+        ("avx512_bf16", False): "fp32",
+        ("avx2", True): "onnx",
+        ("avx2", False): "fp32",
+        ("plain", True): "fp32",
+        ("plain", False): "fp32",
+    }
+
+
+def test_the_shipped_table_knows_only_networks_and_runtimes_that_there_are() -> None:
+    table = speeds.table()
+    assert table["machine"]
+    for mode, row in table["modes"].items():
+        assert mode in get_args(Mode) and row["measured"] in ("natively", "held down")
+        for net, ratios in row["ratios"].items():
+            assert net in ("cfnet", "pcwnet", "bts", "mffnet") and {"fp32"} <= set(ratios) <= {"bf16", "fp32", "onnx"}
+            assert all(ratio > 0 for ratio in ratios.values())
 
 
 def test_what_cannot_be_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -166,9 +202,11 @@ def test_folding_changes_nothing() -> None:
 
 
 def test_all_runtimes_have_the_same_weights() -> None:
-    plain, portable = (make_ready(trained(), how).net.features[0].weight for how in ("fp32", "onnx"))
-    assert plain.dtype == portable.dtype == torch.float32 and torch.equal(plain, portable)
-    assert torch.equal(plain, plain.to(torch.bfloat16).float())
+    plain, portable = (make_ready(trained(), how).net.features for how in ("fp32", "onnx"))
+    image = as_input(images()[0])
+    torch.testing.assert_close(plain(image), portable(image), rtol=1e-4, atol=1e-5)
+    weight = portable[0].weight
+    assert weight.dtype == torch.float32 and torch.equal(weight, weight.to(torch.bfloat16).float())
 
 
 def test_bf16_is_close() -> None:

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from priors.colours import as_rgb
 from priors.nets import runtime
+from priors.nets.graphs import Portable, open_portable
 from priors.nets.runtime import Ready, Runtime
 from priors.nets.trunk import MULTIPLE
 from priors.types import Depth, FloatMap, Image, Mask
@@ -17,13 +18,15 @@ WITHIN = 0.05
 """The confidence is the probability that the depth is right within this share of it."""
 
 
-def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready:
+def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready | Portable:
     """Load the network, once a process; DataError where its weights are missing or damaged."""
+    if chosen == "onnx":
+        return open_portable("mffnet", size, file)
     return runtime.open_net("mffnet", size, chosen, file)
 
 
 def mend(
-    ready: Ready, fill: Depth, sparse_m: FloatMap, image: Image, near: Mask, limits_m: tuple[float, float]
+    ready: Ready | Portable, fill: Depth, sparse_m: FloatMap, image: Image, near: Mask, limits_m: tuple[float, float]
 ) -> Depth:
     """Correct a filled map (height, width).
 

@@ -11,6 +11,7 @@ from priors.errors import DataError
 from priors.learn.adapt import AdaptConfig, adapt
 from priors.learn.lessons import Lesson
 from priors.nets import runtime, weights
+from priors.nets.graphs import Portable, open_portable
 from priors.nets.runtime import Ready, Runtime
 from priors.types import Camera, Drive, FloatMap, Image
 
@@ -19,7 +20,7 @@ VERSION = 1
 """Of how adapting works: part of the adapted weights' key."""
 
 
-def estimate(ready: Ready, image: Image, camera: Camera) -> tuple[FloatMap, FloatMap]:
+def estimate(ready: Ready | Portable, image: Image, camera: Camera) -> tuple[FloatMap, FloatMap]:
     """Run the network on an image.
 
     Returns:
@@ -31,8 +32,10 @@ def estimate(ready: Ready, image: Image, camera: Camera) -> tuple[FloatMap, Floa
         return runtime.as_map(depth_m), runtime.as_map(torch.exp(out.log_scale))
 
 
-def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready:
+def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready | Portable:
     """Load the network, once a process; DataError where its weights are missing or damaged."""
+    if chosen == "onnx":
+        return open_portable(NAME, size, file)
     return runtime.open_net(NAME, size, chosen, file)
 
 

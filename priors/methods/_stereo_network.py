@@ -72,7 +72,7 @@ def open_network(name: str, size: str, chosen: runtime.Runtime, file: Path | Non
         return _open(name, size, chosen, path, weights.digest(path))
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=16)
 def _open(name: str, size: str, chosen: runtime.Runtime, path: Path, _digest: str) -> Network:
     if path.suffix == ".onnx":
         graph = Graph(path)

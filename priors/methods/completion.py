@@ -66,8 +66,8 @@ class Completion:
     """classical: no learning; mffnet: a network mends what that fills, and says how sure it is."""
     size: Literal["s", "m"] = "s"
     """Of the network: small is faster."""
-    runtime: Literal["auto", "bf16", "fp32", "cuda"] = "auto"
-    """What runs the network; auto: CUDA where there is one, bf16 on CPUs that have it, else fp32."""
+    runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
+    """What runs the network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     weights: Path | None = None
     """Your own weights for the network, .safetensors; default: those that come with the package."""
 
@@ -94,10 +94,9 @@ class Completion:
             return replace(resolved, size=type(self).size, runtime=type(self).runtime)  # they decide nothing
         from priors.nets import runtime
 
-        chosen = runtime.choose(self.runtime, self.weights)
-        if chosen == "onnx":
+        if self.weights is not None and self.weights.suffix == ".onnx":
             raise DataError(f"{self.weights}: completion runs no ONNX files: name the network's .safetensors")
-        return replace(resolved, runtime=chosen)
+        return replace(resolved, runtime=runtime.choose(self.runtime, self.weights, self.model))
 
     def weights_digest(self) -> str | None:
         """Return the hash of the network's weights, for the cache's key; None for the classical method."""
@@ -135,7 +134,7 @@ class Completion:
         from priors.methods import _completion_network as network
         from priors.nets import runtime
 
-        ready = network.open_network(self.size, runtime.choose(self.runtime, self.weights), self.weights)
+        ready = network.open_network(self.size, runtime.choose(self.runtime, self.weights, self.model), self.weights)
         fill = complete(sparse_m, image, camera, T_cam_lidar, guidance, EVERYWHERE_PX)
         samples = gather(np.ascontiguousarray(sparse_m, dtype=np.float32))
         _, row, column, inverse = samples

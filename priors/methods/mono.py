@@ -15,6 +15,7 @@ from priors.types import Camera, Depth, Drive, FloatMap, Frame, Image
 
 if TYPE_CHECKING:
     from priors.known import Known
+    from priors.nets.runtime import Runtime
 
 TOLERANCE_M = 1.0
 MOST_ALIGNED = 12
@@ -35,8 +36,8 @@ class Mono:
     (docs/methods/mono.md); default: those that come with the package."""
     size: Literal["s", "m", "l"] = "m"
     """Of our network: small is faster, large is better."""
-    runtime: Literal["auto", "bf16", "fp32", "cuda"] = "auto"
-    """What runs our network; auto: CUDA where there is one, bf16 on CPUs that have it, else fp32."""
+    runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
+    """What runs our network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     adapt: Literal["none", "lidar", "stereo", "video"] = "none"
     """Fine-tune our network on this drive first: on each training frame's own sweep, where its stereo is sure, or so
     that posed training frames explain each other."""
@@ -152,12 +153,10 @@ class Mono:
         known = None if self.align == "none" else self._known(self.align_to, frame)
         return self._finish(self._predict(), frame, known=known)
 
-    def _choose_runtime(self) -> Literal["bf16", "fp32", "cuda"]:
+    def _choose_runtime(self) -> "Runtime":
         from priors.nets import runtime
 
-        chosen = runtime.choose(self.runtime)
-        assert chosen != "onnx"
-        return chosen
+        return runtime.choose(self.runtime, net="bts")
 
     def _output(self) -> str:
         """Return what the network gives: metric-depth, relative-depth or disparity."""

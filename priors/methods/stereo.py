@@ -34,7 +34,7 @@ class Stereo:
     size: Literal["s", "m", "l"] = "s"
     """Of a network: small is faster, large is better."""
     runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
-    """What runs a network; auto: CUDA where there is one, bf16 on CPUs that have it, else fp32."""
+    """What runs a network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     weights: Path | None = None
     """Your own weights for the network, .safetensors or .onnx; default: those that come with the package."""
     max_disparity_px: int | None = None
@@ -71,7 +71,7 @@ class Stereo:
         else:
             from priors.nets import runtime
 
-            resolved = replace(self, runtime=runtime.choose(self.runtime, self.weights))
+            resolved = replace(self, runtime=runtime.choose(self.runtime, self.weights, self.model))
         offset = self.correction() if self.offset_px is not None else calibrate(frame, resolved._sure)
         return replace(resolved, offset_px=offset.field_px, scale=offset.scale)
 
@@ -141,5 +141,5 @@ class Stereo:
         from priors.methods._stereo_network import open_network
         from priors.nets.runtime import choose
 
-        network = open_network(self.model, self.size, choose(self.runtime, self.weights), self.weights)
+        network = open_network(self.model, self.size, choose(self.runtime, self.weights, self.model), self.weights)
         return network(image, other, max_disparity_px)

@@ -56,6 +56,31 @@ class Exact(nn.Sequential):
         return run(*values, last.stride, last.padding, last.dilation)
 
 
+class Climb(nn.Sequential):
+    """A 3D convolution of a volume of half the size, repeated to full size, on top of one of full size.
+
+    Repeating first and convolving then is how it was learned; fused.py and planes.py know quicker ways to the same.
+    """
+
+    def forward(self, small: Tensor, plus: Tensor) -> Tensor:  # type: ignore[override]
+        """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes)."""
+        return plus + super().forward(F.interpolate(small, scale_factor=2.0, mode="nearest"))
+
+
+def both(x: Tensor, first: nn.Conv2d, second: nn.Conv2d) -> tuple[Tensor, Tensor]:
+    """Run two layers of one shape but for their outputs, (b, c, h, w) each, in one pass over what they look at.
+
+    A head of one channel takes a CPU as long as one of sixteen.
+    """
+    assert first.bias is not None and second.bias is not None
+    weight, bias = torch.cat([first.weight, second.weight]), torch.cat([first.bias, second.bias])
+    if x.device.type == "cpu":
+        weight = weight.contiguous(memory_format=torch.channels_last)
+    found = F.conv2d(x, weight, bias, first.stride, first.padding, first.dilation)
+    a, b = found.split([first.out_channels, second.out_channels], dim=1)
+    return a, b
+
+
 def side_by_side(first: Tensor, *others: Tensor) -> Tensor:
     """Join maps (b, h, w, c) to (b, sum of c, h, w), channels-last, of the first one's type.
 

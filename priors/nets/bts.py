@@ -99,7 +99,7 @@ class Bts(nn.Module):
         ]
         scale = F.interpolate((scale - 2).clamp(SMALLEST_SCALE, LARGEST_SCALE), scale_factor=4.0, mode="bilinear")
         zoom = (K[:, 0, 0] / FOCAL_PX)[:, None, None]
-        rows, columns = -(-height // 4), -(-width // 4)
+        rows, columns = (height + 3) // 4, (width + 3) // 4  # an exporter rounds what is negative the other way
         return MonoOut(
             depth_m=zoom / fine[:, 0],
             sky_logit=fine[:, 1],

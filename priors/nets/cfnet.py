@@ -13,12 +13,14 @@ in the last stage. Confidence is the probability of an error below 1 px, read fr
 import torch
 from torch import Tensor, nn
 
-from priors.nets.blocks import Residual, conv, conv3d
-from priors.nets.coarse import WIDTHS, Coarse, double, per_pixel
+from priors.nets.blocks import Climb, Residual, both, conv, conv3d
+from priors.nets.coarse import WIDTHS, Coarse
+from priors.nets.dispatch import is_traced
 from priors.nets.intake import take_in
 from priors.nets.join import join
 from priors.nets.matching import expect, lookup, lookup_beside
 from priors.nets.outputs import Matched, StereoOut, finer
+from priors.nets.planes import weigh
 from priors.nets.trunk import SIZES, Trunk
 
 QUARTER_PLANES, HALF_PLANES = 8, 6
@@ -41,6 +43,8 @@ class Range(nn.Module):
         low = (disparity_px - half).clamp(min=0)
         step = (disparity_px + half - low) / (self.planes - 1)
         number = torch.arange(self.planes, device=low.device, dtype=torch.float32)
+        if is_traced():  # the same, laid out as what follows reads it
+            return (low[:, None] + step[:, None] * number[:, None, None]).permute(0, 2, 3, 1)
         return low[..., None] + step[..., None] * number
 
 
@@ -55,7 +59,7 @@ class Quarter(nn.Module):
         self.first = conv3d(self.groups + 1, width)
         self.gate = nn.Conv2d(channels, width, 1)
         self.down = nn.Sequential(conv3d(width, 2 * width, stride=2), conv3d(2 * width, 2 * width))
-        self.up = conv3d(2 * width, width)
+        self.up = Climb(*conv3d(2 * width, width))
         self.last = nn.Sequential(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
 
     def forward(self, left: Tensor, right: Tensor, disparity_px: Tensor, sigma_px: Tensor) -> Matched:
@@ -63,8 +67,8 @@ class Quarter(nn.Module):
         position = self.range(disparity_px, sigma_px)
         where = (position - disparity_px[..., None]) * 0.2
         match = lookup(self.head(left), self.head(right), position, self.groups, where)
-        volume = self.first(match) * per_pixel(torch.sigmoid(self.gate(left)))
-        volume = volume + self.up(double(self.down(volume)))
+        volume = weigh(self.first(match), torch.sigmoid(self.gate(left)))
+        volume = self.up(self.down(volume), volume)
         logits = self.last(volume).squeeze(1)
         return Matched(*expect(logits, position), logits, position)
 
@@ -106,9 +110,10 @@ class Half(nn.Module):
         heads = self.head(seen), self.head(other)
         before, after = [seen.permute(0, 2, 3, 1)], [spread, where]
         body = self.body(lookup_beside(before, *heads, position, self.groups, after))
-        logits = self.logits(body).permute(0, 2, 3, 1)
+        logits, doubt = both(body, self.logits, self.doubt)
+        logits = logits.permute(0, 2, 3, 1)
         matched = Matched(*expect(logits, position), logits, position)
-        return matched, self.doubt(body), self.weights(body)
+        return matched, doubt, self.weights(body)
 
     def _features(self, image: Tensor, quarter: Tensor) -> Tensor:
         return self.features(join(image, self.lift(quarter)))

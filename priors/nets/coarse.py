@@ -3,13 +3,12 @@
 from collections.abc import Sequence
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import Exact, conv3d
-from priors.nets.matching import correlate, expect
+from priors.nets.blocks import Climb, Exact, conv3d
+from priors.nets.matching import concatenate, correlate, expect
 from priors.nets.outputs import Matched
-from priors.nets.volume import concatenate
+from priors.nets.planes import beside, weigh
 
 GROUPS, GROUP_CHANNELS = 8, 8
 WIDTHS = {"s": 16, "m": 24, "l": 32}
@@ -28,7 +27,7 @@ class Coarse(nn.Module):
         self.first = nn.ModuleList(conv3d(GROUPS + 2 * joined, width * k) for k in (1, 2, 2))
         self.down = nn.ModuleList([conv3d(width, 2 * width, stride=2), conv3d(2 * width, 2 * width, stride=2)])
         self.fuse = nn.ModuleList([conv3d(4 * width, 2 * width), conv3d(4 * width, 2 * width)])
-        self.up = nn.ModuleList([conv3d(2 * width, width), conv3d(2 * width, 2 * width)])
+        self.up = nn.ModuleList([Climb(*conv3d(2 * width, width)), Climb(*conv3d(2 * width, 2 * width))])
         self.gate = nn.Conv2d(channels[1], width, 1)
         self.last = Exact(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
 
@@ -39,25 +38,15 @@ class Coarse(nn.Module):
             volume = correlate(head(left[level + 1]), head(right[level + 1]), GROUPS, planes >> level)
             if self.joined is not None:
                 pair = self.joined[level](left[level + 1]), self.joined[level](right[level + 1])
-                volume = torch.cat([volume, concatenate(*pair, planes >> level)], dim=1)
+                volume = beside(volume, concatenate(*pair, planes >> level))
             volumes.append(self.first[level](volume))
         eighth, sixteenth, coarsest = volumes
-        eighth = eighth * per_pixel(torch.sigmoid(self.gate(left[1])))
-        sixteenth = self.fuse[0](torch.cat([self.down[0](eighth), sixteenth], dim=1))
-        coarsest = self.fuse[1](torch.cat([self.down[1](sixteenth), coarsest], dim=1))
-        sixteenth = sixteenth + self.up[1](double(coarsest))
-        eighth = eighth + self.up[0](double(sixteenth))
+        eighth = weigh(eighth, torch.sigmoid(self.gate(left[1])))
+        sixteenth = self.fuse[0](beside(self.down[0](eighth), sixteenth))
+        coarsest = self.fuse[1](beside(self.down[1](sixteenth), coarsest))
+        sixteenth = self.up[1](coarsest, sixteenth)
+        eighth = self.up[0](sixteenth, eighth)
         logits = self.last(eighth).squeeze(1)
         position = torch.arange(planes, device=logits.device, dtype=torch.float32)
         disparity, sigma = expect(logits, position, window=2)
         return Matched(disparity, sigma, logits, position)
-
-
-def per_pixel(values: Tensor) -> Tensor:
-    """Stretch (b, c, h, w) over a volume's planes."""
-    return values[..., None]
-
-
-def double(volume: Tensor) -> Tensor:
-    """Repeat a volume's values to twice its three sizes."""
-    return F.interpolate(volume, scale_factor=2.0, mode="nearest")

@@ -1,18 +1,20 @@
-"""Stereo networks as ONNX files, and onnxruntime to run them.
+"""Networks as ONNX files, and onnxruntime to run the stereo ones (graphs.py runs the others).
 
     python -m priors.nets.export --net cfnet --size s --image-size 1242x375 --max-disparity 192 --out cfnet-s.onnx
+    python -m priors.nets.export --net bts --size m --image-size 1242x375 --out bts-m.onnx
 
-A file holds one image size (rounded up to multiples of 32) and one disparity range: the volumes' shapes follow from
-them. `priors build --stereo.weights FILE.onnx` runs it on images that are no larger; `--stereo.runtime onnx` with
-ordinary weights makes the graphs it needs in memory.
+A stereo network's file holds one image size (rounded up to multiples of 32) and one disparity range: the volumes'
+shapes follow from them. `priors build --stereo.weights FILE.onnx` runs it on images that are no larger;
+`--stereo.runtime onnx` with ordinary weights makes the graphs it needs in memory. The files of bts (image and K in;
+depth_m, sky_logit, log_scale and coarse_m out) and mffnet (image, fill_m, certain and sparse_m in; depth_m and
+log_scale out) hold one image size and are for other programs; `--mono.runtime onnx` and `--completion.runtime onnx`
+make their graphs in memory.
 """
 
 import json
 import threading
-import warnings
 from collections import OrderedDict
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -23,13 +25,14 @@ from torch import Tensor, nn
 
 from priors import codecs
 from priors.errors import DataError
+from priors.nets.graphs import FORMS, open_session, write_down
+from priors.nets.graphs import to_onnx as one_image_to_onnx
+from priors.nets.planes import portable
 from priors.nets.runtime import Ready
 
-OPSET = 17
 OUTPUTS = ("disparity_px", "sigma_px", "doubt")
 KEPT = 2
 """Graphs in memory: a drive has one image size and one or two disparity ranges."""
-EXTRA = "needs the packages onnx and onnxruntime: pip install 'roadprior[onnx]'"
 
 Floats = npt.NDArray[np.float32]
 
@@ -57,27 +60,10 @@ def to_onnx(ready: Ready, size: tuple[int, int], largest_px: int) -> bytes:
     Returns:
         The file's bytes; outputs disparity_px, sigma_px and doubt (1, height, width).
     """
-    try:
-        import onnx
-    except ImportError as error:
-        raise DataError(f"ONNX export {EXTRA}") from error
     example = torch.rand(2, 1, 3, *size)
-    with torch.inference_mode(), warnings.catch_warnings(), TemporaryDirectory() as folder:
-        path = Path(folder) / "graph.onnx"
-        warnings.simplefilter("ignore")  # of shapes that become constants: that is what is wanted
-        torch.onnx.export(
-            _Flat(ready.net, largest_px).eval(),
-            (example[0], example[1]),
-            path,
-            input_names=["left", "right"],
-            output_names=list(OUTPUTS),
-            opset_version=OPSET,
-            dynamo=False,  # the other exporter needs one more package
-        )
-        model = onnx.load(path)
+    net = _Flat(portable(ready.net), largest_px)
     about = {**ready.about, "largest_px": largest_px}
-    onnx.helper.set_model_props(model, {"roadprior": json.dumps(about)})
-    return model.SerializeToString()
+    return write_down(net, (example[0], example[1]), ("left", "right"), OUTPUTS, about)
 
 
 class Graph:
@@ -85,18 +71,12 @@ class Graph:
 
     def __init__(self, model: bytes | Path) -> None:
         try:
-            import onnxruntime
-        except ImportError as error:
-            raise DataError(f"runtime onnx {EXTRA}") from error
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = torch.get_num_threads()
-        options.log_severity_level = 3
-        source = str(model) if isinstance(model, Path) else model
-        try:
-            self.session = onnxruntime.InferenceSession(source, options, providers=["CPUExecutionProvider"])
+            self.session = open_session(model)
             self.about: dict[str, Any] = json.loads(self.session.get_modelmeta().custom_metadata_map["roadprior"])
             _, _, *size = self.session.get_inputs()[0].shape
             self.size = (int(size[0]), int(size[1]))
+        except DataError:
+            raise
         except Exception as error:  # onnxruntime has an exception of its own for every fault
             raise DataError(
                 f"{model if isinstance(model, Path) else 'graph'}: no stereo network of ours: {error}"
@@ -153,22 +133,27 @@ def main() -> None:
 def export(
     net: str, size: str, out: Path, image_size: str = "1242x375", max_disparity: int = 192, weights: Path | None = None
 ) -> None:
-    """Write a stereo network with its weights as an ONNX file.
+    """Write a network with its weights as an ONNX file.
 
     Args:
-        net: cfnet or pcwnet.
+        net: cfnet or pcwnet (stereo), bts (mono) or mffnet (completion).
         size: s, m or l.
         out: the file to write.
-        image_size: WIDTHxHEIGHT of the largest image it is for.
-        max_disparity: largest disparity it searches, pixels.
+        image_size: WIDTHxHEIGHT: of the largest image a stereo network is for, of every image the others are for.
+        max_disparity: largest disparity a stereo network searches, pixels.
         weights: your own safetensors file; default: what ships.
     """
     from priors.nets.runtime import open_net
 
+    width, height = (int(side) for side in image_size.split("x"))
     ready = open_net(net, size, "onnx", weights)
-    width, height = (-(-int(side) // 32) * 32 for side in image_size.split("x"))
+    if net in FORMS:
+        codecs.write_bytes(out, one_image_to_onnx(ready, net, FORMS[net].examples(height, width)))
+        open_session(out)  # it opens
+        return
+    height, width = (-(-side // 32) * 32 for side in (height, width))
     codecs.write_bytes(out, to_onnx(ready, (height, width), -(-max_disparity // 32) * 32))
-    Graph(out)  # it opens
+    Graph(out)
 
 
 if __name__ == "__main__":

@@ -6,12 +6,15 @@ another device, the network stays as it is.
 """
 
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeGuard, TypeVar
 
 import torch
 from torch import Tensor, nn
 
-from priors.nets.blocks import Exact, Residual
+from priors import threads
+from priors.nets.bits import as_bits
+from priors.nets.blocks import Climb, Exact, Residual
 
 Net = TypeVar("Net", bound=nn.Module)
 AFTER: dict[type[nn.Module], Callable[[Any], tuple[str, list[float]]]] = {
@@ -23,17 +26,21 @@ AFTER: dict[type[nn.Module], Callable[[Any], tuple[str, list[float]]]] = {
 
 
 def fuse(net: Net) -> Net:
-    """Replace folded convolution + ReLU pairs (2D, 3D) and Residual blocks, in place; folded and cast before.
+    """Replace folded convolution + ReLU pairs (2D, 3D) and blocks made of them, in place; folded and cast before.
 
     The result computes the same up to the rounding of what is no longer rounded in between; it cannot be trained,
     moved or exported.
     """
-    if not available():
+    kinds = {p.dtype for p in net.parameters() if p.is_floating_point()}
+    if not all(available(kind) for kind in kinds):
         return net
     for name, child in list(net.named_children()):
+        if isinstance(child, FUSED):
+            continue
         if isinstance(child, Exact):
-            if child[-1].weight.dtype == torch.bfloat16:  # else it is exact as it is
-                setattr(net, name, FusedExact(child))
+            setattr(net, name, FusedExact(child))
+        elif isinstance(child, Climb):
+            setattr(net, name, FusedClimb(child))
         elif isinstance(child, Residual):
             setattr(net, name, FusedResidual(child))
         elif _is_planar(child):
@@ -45,11 +52,12 @@ def fuse(net: Net) -> Net:
     return net
 
 
-def available() -> bool:
-    """Tell whether this torch has the operators and can run them."""
+@cache
+def available(kind: torch.dtype = torch.float32) -> bool:
+    """Tell whether this torch has the operators and this CPU can run them on numbers of a kind."""
     try:
-        x = torch.zeros(1, 16, 4, 4).to(memory_format=torch.channels_last)
-        FusedConv(nn.Conv2d(16, 16, 3, padding=1), nn.ReLU())(x)
+        x = torch.zeros(1, 16, 4, 4, dtype=kind).to(memory_format=torch.channels_last)
+        FusedConv(nn.Conv2d(16, 16, 3, padding=1).requires_grad_(False).to(kind), nn.ReLU())(x)
     except (RuntimeError, AttributeError):
         return False
     return True
@@ -137,11 +145,51 @@ class FusedResidual(nn.Module):
         return self.second(self.first(x), x)
 
 
+class FusedClimb(nn.Module):
+    """A convolution of a repeated volume without repeating it: a third of the products, and a pass that sorts them.
+
+    After repeating, two of a kernel's three neighbours along an axis are one and the same value, so that two numbers
+    are left of three, other ones at even places than at odd ones: a 2x2x2 kernel for each of the eight kinds of place.
+    """
+
+    def __init__(self, climb: Climb) -> None:
+        super().__init__()
+        conv = _conv_of(climb)
+        assert isinstance(conv, nn.Conv3d)
+        self.conv = FusedConv(split_by_place(conv), climb[-1])
+
+    def forward(self, small: Tensor, plus: Tensor) -> Tensor:
+        """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes)."""
+        from priors.kernels import climb as kernels
+
+        found, given = (volume.permute(0, 2, 3, 4, 1) for volume in (self.conv(small), plus))
+        out = torch.empty(given.shape, dtype=plus.dtype)
+        bits = as_bits(given.flatten(0, 1)), as_bits(found), as_bits(out.flatten(0, 1))
+        threads.over(bits[0].shape[0], lambda first, last: kernels.add_sorted(*bits, first, last))
+        return out.permute(0, 4, 1, 2, 3)
+
+
+def split_by_place(conv: nn.Conv3d) -> nn.Conv3d:
+    """Return the 2x2x2 convolution that gives what a 3x3x3 one gives of a repeated volume, for eight kinds of place.
+
+    Of (b, c, h, w, d) it makes (b, 8 * outputs, h + 1, w + 1, d + 1), the kinds varying slowest: even or odd row,
+    column, plane. What belongs to the place 2 * (i, j, k) + kind is at (i, j, k) + kind.
+    """
+    taps = conv.weight.new_tensor([[[1, 0, 0], [0, 1, 1]], [[1, 1, 0], [0, 0, 1]]], dtype=torch.float32)
+    weight = torch.einsum("oiabc,pxa,qyb,rzc->pqroixyz", conv.weight.detach().float(), taps, taps, taps)
+    made = nn.Conv3d(conv.in_channels, 8 * conv.out_channels, 2, padding=1).to(conv.weight.dtype)
+    weight = weight.flatten(0, 3).to(conv.weight.dtype)
+    made.weight.data = weight.contiguous(memory_format=torch.channels_last_3d)
+    assert conv.bias is not None and made.bias is not None  # folded
+    made.bias.data = conv.bias.detach().repeat(8)
+    return made
+
+
 class FusedExact(nn.Module):
     """A head whose last layer is as exact as float32 would be, computed twice in bf16, which is faster than once there.
 
     The second time the first answer is taken off before anything is rounded: what is left is small, and so is its
-    rounding error, 2^-17 of the answer.
+    rounding error, 2^-17 of the answer. In float32 once is enough.
     """
 
     def __init__(self, head: Exact) -> None:
@@ -154,8 +202,13 @@ class FusedExact(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Run both layers; returns float32."""
         x = self.first(x)
-        answer = self.last(x)
+        answer: Tensor = self.last(x)
+        if answer.dtype == torch.float32:
+            return answer
         return answer.float() + self.last(x, -answer).float()
+
+
+FUSED = (FusedConv, FusedPlanes, FusedResidual, FusedClimb, FusedExact)
 
 
 def _is_pair(sequence: nn.Sequential) -> bool:

@@ -8,10 +8,11 @@ import torch
 from torch import Tensor
 
 from priors import threads
-from priors.nets import volume
+from priors.nets import planar, volume
 from priors.nets.bits import as_bits, rows_of_bits
 from priors.nets.blocks import side_by_side
-from priors.nets.dispatch import on_cpu, without_gradient
+from priors.nets.dispatch import is_traced, on_cpu, without_gradient
+from priors.nets.planes import Planes
 
 
 def unit(features: Tensor, groups: int) -> Tensor:
@@ -31,6 +32,8 @@ def unit(features: Tensor, groups: int) -> Tensor:
 
 def expect(logits: Tensor, position_px: Tensor, window: int | None = None) -> tuple[Tensor, Tensor]:
     """Return mean and deviation of the matching distribution; see volume.expect, which this equals."""
+    if is_traced():
+        return planar.expect(logits, position_px, window)
     if not without_gradient(logits):
         return volume.expect(logits, position_px, window)
     from priors.kernels import distribution as kernels
@@ -44,7 +47,9 @@ def expect(logits: Tensor, position_px: Tensor, window: int | None = None) -> tu
     return mean, sigma
 
 
-def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int, also: Tensor | None = None) -> Tensor:
+def lookup(
+    left: Tensor, right: Tensor, disparity_px: Tensor, groups: int, also: Tensor | None = None
+) -> Tensor | Planes:
     """Match features, brought to unit length, at each pixel's own disparities.
 
     Args:
@@ -57,6 +62,10 @@ def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int, also:
     Returns:
         (b, groups, h, w, planes), or groups + 1, of the features' type; see volume.unit and .lookup.
     """
+    if is_traced():
+        maps = planar.lookup(left, right, disparity_px, groups).unbind(1)
+        more = [] if also is None else [also.permute(0, 3, 1, 2).split(1, dim=1)]
+        return Planes([torch.cat(parts, dim=1) for parts in zip(maps, *more, strict=True)])
     if not without_gradient(left):
         found = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups).to(left.dtype)
         return found if also is None else torch.cat([found, also[:, None].to(found.dtype)], dim=1)
@@ -86,6 +95,8 @@ def lookup_beside(
     Returns:
         (b, sum of c + groups * planes, h, w), channels-last.
     """
+    if is_traced():
+        return planar.lookup_beside(before, left, right, disparity_px, groups, after)
     if not without_gradient(left):
         found = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups)
         return side_by_side(*before, found.permute(0, 2, 3, 1, 4).flatten(3), *after)
@@ -100,13 +111,20 @@ def lookup_beside(
     return out.permute(0, 3, 1, 2)
 
 
-def correlate(left: Tensor, right: Tensor, groups: int, planes: int) -> Tensor:
+def correlate(left: Tensor, right: Tensor, groups: int, planes: int) -> Tensor | Planes:
     """Match at disparities 0 .. planes - 1: (b, groups, h, w, planes), as `lookup` does."""
+    if is_traced():
+        return planar.correlate(left, right, groups, planes)
     if not on_cpu(left):
         return volume.correlate(volume.unit(left, groups), volume.unit(right, groups), groups, planes)
     batch, _, height, width = left.shape
     disparity_px = torch.arange(planes, dtype=torch.float32).expand(batch, height, width, planes)
     return lookup(left, right, disparity_px, groups)
+
+
+def concatenate(left: Tensor, right: Tensor, planes: int) -> Tensor | Planes:
+    """Put both views' features side by side; see volume.concatenate, which this equals."""
+    return (planar if is_traced() else volume).concatenate(left, right, planes)
 
 
 def lookup_units(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:

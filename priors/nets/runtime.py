@@ -1,12 +1,11 @@
 """Run networks: picks bf16, fp32, CUDA or onnxruntime from a table, loads each network once a process.
 
-What was measured on a 2-core machine with AMX (docs/benchmarks.md): weights cast to bf16 once and channels-last memory
-run dense convolutions 4 to 10 times as fast as fp32; onnxruntime runs as fast as fp32. Nothing is measured at run time.
+Weights are cast once, memory is channels-last, convolutions are fused with what follows them. What is fastest differs
+with the CPU (speeds.py, docs/benchmarks.md). Nothing is measured at run time.
 """
 
 import threading
 from dataclasses import dataclass
-from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
@@ -16,9 +15,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from priors import cpu
 from priors.colours import as_rgb
 from priors.errors import DataError
-from priors.nets import weights
+from priors.nets import speeds, weights
 from priors.nets.blocks import channels_last, fold
 from priors.nets.fused import fuse
 from priors.nets.memory import keep_freed
@@ -26,15 +26,13 @@ from priors.types import Image
 
 Runtime = Literal["bf16", "fp32", "cuda", "onnx"]
 Asked = Literal["auto", "bf16", "fp32", "cuda", "onnx"]
-FAST_BF16 = ("amx_bf16", "avx512_bf16")
-"""CPU flags that make bf16 the fast path."""
 
 _LOADING, _FORWARD = threading.Lock(), threading.Lock()
 _loaded: dict[tuple[Any, ...], "Ready"] = {}
 
 
-def choose(asked: Asked, file: Path | None = None) -> Runtime:
-    """Decide 'auto': a file's own runtime, else CUDA where there is one, bf16 where the CPU has it, else fp32.
+def choose(asked: Asked, file: Path | None = None, net: str | None = None) -> Runtime:
+    """Decide 'auto': a file's own runtime, else CUDA where there is one, else what speeds.py's table says of the net.
 
     Raises DataError where what was asked for is not there.
     """
@@ -44,22 +42,12 @@ def choose(asked: Asked, file: Path | None = None) -> Runtime:
             return "onnx"
         if torch.cuda.is_available():
             return "cuda"
-        return "bf16" if any(flag in cpu_flags() for flag in FAST_BF16) else "fp32"
+        return speeds.fastest(cpu.mode(), net)
     if is_onnx and asked != "onnx":
         raise DataError(f"{file}: an ONNX file runs with runtime onnx, not {asked}")
     if asked == "cuda" and not torch.cuda.is_available():
         raise DataError("runtime cuda: PyTorch sees no CUDA device here: choose auto")
     return asked
-
-
-@cache
-def cpu_flags() -> frozenset[str]:
-    """Read the CPU's flags from /proc/cpuinfo; empty where there is no such file."""
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return frozenset()
-    return frozenset(next((line.split(":", 1)[1].split() for line in lines if line.startswith(("flags", "Feat"))), []))
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +88,7 @@ def make_ready(net: nn.Module, runtime: Runtime, about: dict[str, Any] | None = 
         net.to("cuda")
     if runtime != "onnx":
         channels_last(net)
-    if runtime == "bf16":
+    if runtime in ("bf16", "fp32"):
         fuse(net)
         keep_freed()
     return Ready(net, runtime, about or {})

@@ -7,8 +7,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from priors import threads
+from priors.nets import planar
 from priors.nets.bits import as_bits
-from priors.nets.dispatch import without_gradient
+from priors.nets.dispatch import is_traced, without_gradient
 
 LARGEST = 30.0
 
@@ -24,6 +25,8 @@ def convex(values: Tensor, weights: Tensor, factor: int) -> Tensor:
     Returns:
         (b, c, factor * h, factor * w) float32, each value between the least and the largest of its 3x3 neighbours.
     """
+    if is_traced():
+        return planar.convex(values, weights, factor, LARGEST)
     if without_gradient(values):
         return _on_cpu(values, weights, factor)
     batch, channels, height, width = values.shape

@@ -1,0 +1,44 @@
+"""Which runtime is fastest on which kind of CPU: a table that tests/bench/bench_runtimes.py measures and writes.
+
+    python tests/bench/bench_runtimes.py --write
+
+Nothing is measured at run time. A kind of CPU that nobody measured gets what its name promises: bf16 where it has
+instructions for that, else fp32.
+"""
+
+import json
+from functools import cache
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal
+
+from priors.cpu import Mode
+
+FILE = Path(__file__).with_name("speeds.json")
+FAST_BF16: tuple[Mode, ...] = ("amx", "avx512_bf16")
+"""Modes that make bf16 the fast path where nothing was measured."""
+
+OnCpu = Literal["bf16", "fp32", "onnx"]
+
+
+@cache
+def table() -> dict[str, Any]:
+    """Return what was measured: machine, and for each mode and network the time of each runtime, in SGBM's times."""
+    found: dict[str, Any] = json.loads(FILE.read_text())
+    return found
+
+
+def fastest(mode: Mode, net: str | None) -> OnCpu:
+    """Return what runs a network fastest on CPUs of a mode, of what is installed."""
+    measured = table()["modes"].get(mode, {}).get("ratios", {}).get(net, {})
+    here = {runtime: ratio for runtime, ratio in measured.items() if runtime != "onnx" or has_onnx()}
+    if not here:
+        return "bf16" if mode in FAST_BF16 else "fp32"
+    best: OnCpu = min(here, key=lambda runtime: float(here[runtime]))
+    return best
+
+
+@cache
+def has_onnx() -> bool:
+    """Tell whether the packages are there that export and run graphs."""
+    return all(find_spec(name) is not None for name in ("onnx", "onnxruntime"))
