@@ -1,5 +1,11 @@
 """The small networks: the kernels equal the twin that rounds alike, and are near the one that does not."""
 
+import os
+import platform
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -75,6 +81,16 @@ def test_near_the_twin_in_full_precision(width, levels, count):
     assert float(np.median(samples)) < 0.03
     for mine, wanted in zip((d_features, *d_layers), gradients, strict=True):
         assert far(mine, wanted) < 0.2
+
+
+@pytest.mark.skipif(platform.machine() not in ("x86_64", "AMD64"), reason="matrix tiles are x86's")
+def test_the_code_for_tiles_compiles_on_cpus_without(tmp_path):
+    root = Path(__file__).resolve().parents[1]
+    environment = {**os.environ, "PYTHONPATH": str(root), "ROADPRIOR_CACHE": str(tmp_path)}
+    command = [sys.executable, str(root / "tests" / "reference" / "tiles_compiled.py")]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    instructions = "ldtilecfg tdpbf16ps vcvtne2ps2bf16 tilerelease"
+    assert done.stdout.splitlines() == [f"forward {instructions}", f"backward {instructions}"], done.stderr
 
 
 @SIZES

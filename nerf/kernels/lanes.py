@@ -1,7 +1,7 @@
 """Sixteen numbers side by side as values of compiled code: what LLVM's own loop vectoriser will not do for gathers.
 
-`Floats` and `Ints` (16 x float32, 16 x int32) can be added, multiplied and combined bitwise in `@compiled` functions; the
-functions below load, store, gather and convert them. LLVM turns each into one instruction with AVX-512 and into a
+`Floats` and `Ints` (16 x float32, 16 x int32) can be added, multiplied and combined bitwise in `@compiled` functions;
+the functions below load, store, gather and convert them. LLVM turns each into one instruction with AVX-512 and into a
 few with AVX2 or NEON, so kernels written with them run everywhere. Indices are not checked.
 """
 
