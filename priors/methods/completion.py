@@ -96,7 +96,7 @@ class Completion:
 
         if self.weights is not None and self.weights.suffix == ".onnx":
             raise DataError(f"{self.weights}: completion runs no ONNX files: name the network's .safetensors")
-        return replace(resolved, runtime=runtime.choose(self.runtime, self.weights, self.model))
+        return replace(resolved, runtime=runtime.choose_floating(self.runtime, self.weights, self.model))
 
     def weights_digest(self) -> str | None:
         """Return the hash of the network's weights, for the cache's key; None for the classical method."""
@@ -134,7 +134,9 @@ class Completion:
         from priors.methods import _completion_network as network
         from priors.nets import runtime
 
-        ready = network.open_network(self.size, runtime.choose(self.runtime, self.weights, self.model), self.weights)
+        ready = network.open_network(
+            self.size, runtime.choose_floating(self.runtime, self.weights, self.model), self.weights
+        )
         fill = complete(sparse_m, image, camera, T_cam_lidar, guidance, EVERYWHERE_PX)
         samples = gather(np.ascontiguousarray(sparse_m, dtype=np.float32))
         _, row, column, inverse = samples

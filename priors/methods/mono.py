@@ -15,7 +15,7 @@ from priors.types import Camera, Depth, Drive, FloatMap, Frame, Image
 
 if TYPE_CHECKING:
     from priors.known import Known
-    from priors.nets.runtime import Runtime
+    from priors.nets.runtime import Floating
 
 TOLERANCE_M = 1.0
 MOST_ALIGNED = 12
@@ -153,10 +153,10 @@ class Mono:
         known = None if self.align == "none" else self._known(self.align_to, frame)
         return self._finish(self._predict(), frame, known=known)
 
-    def _choose_runtime(self) -> "Runtime":
+    def _choose_runtime(self) -> "Floating":
         from priors.nets import runtime
 
-        return runtime.choose(self.runtime, net="bts")
+        return runtime.choose_floating(self.runtime, net="bts")
 
     def _output(self) -> str:
         """Return what the network gives: metric-depth, relative-depth or disparity."""

@@ -33,7 +33,7 @@ class Stereo:
     """classical: semi-global matching, smoothed and filled by what the image says; the others are networks."""
     size: Literal["s", "m", "l"] = "s"
     """Of a network: small is faster, large is better."""
-    runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
+    runtime: Literal["auto", "bf16", "fp32", "int8", "cuda", "onnx"] = "auto"
     """What runs a network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     weights: Path | None = None
     """Your own weights for the network, .safetensors or .onnx; default: those that come with the package."""
@@ -71,7 +71,7 @@ class Stereo:
         else:
             from priors.nets import runtime
 
-            resolved = replace(self, runtime=runtime.choose(self.runtime, self.weights, self.model))
+            resolved = replace(self, runtime=runtime.choose(self.runtime, self.weights, self.model, self.size))
         offset = self.correction() if self.offset_px is not None else calibrate(frame, resolved._sure)
         return replace(resolved, offset_px=offset.field_px, scale=offset.scale)
 
@@ -79,9 +79,10 @@ class Stereo:
         """Return the hash of the network's weights, for the cache's key; None for the classical method."""
         if self.model == "classical":
             return None
-        from priors.nets import weights
+        from priors.nets import int8, weights
 
-        return weights.digest(weights.find(self.model, self.size, self.weights))
+        file = weights.find(self.model, self.size, self.weights)
+        return (int8 if self.runtime == "int8" else weights).digest(file)
 
     def prepare(self, drive: Drive, folder: Path, on_note: Callable[[str], None]) -> Self:
         """Tell what the disparity is corrected by, if it is; see build.build."""
@@ -141,5 +142,6 @@ class Stereo:
         from priors.methods._stereo_network import open_network
         from priors.nets.runtime import choose
 
-        network = open_network(self.model, self.size, choose(self.runtime, self.weights, self.model), self.weights)
+        chosen = choose(self.runtime, self.weights, self.model, self.size)
+        network = open_network(self.model, self.size, chosen, self.weights)
         return network(image, other, max_disparity_px)

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from priors import threads
 from priors.nets.bits import as_bits
 from priors.nets.blocks import Climb, Exact, Residual
+from priors.nets.int8 import IntegerConv, Range
 
 Net = TypeVar("Net", bound=nn.Module)
 AFTER: dict[type[nn.Module], Callable[[Any], tuple[str, list[float]]]] = {
@@ -46,7 +47,7 @@ def fuse(net: Net) -> Net:
         elif _is_planar(child):
             setattr(net, name, FusedPlanes(child))
         elif isinstance(child, nn.Sequential) and _is_pair(child):
-            setattr(net, name, FusedConv(_conv_of(child), child[-1]))
+            setattr(net, name, _quick(_conv_of(child), child[-1]))
         elif isinstance(child, nn.ModuleList | nn.Sequential) or len(list(child.children())):
             fuse(child)
     return net
@@ -138,10 +139,12 @@ class FusedResidual(nn.Module):
 
     def __init__(self, block: Residual) -> None:
         super().__init__()
-        self.first, self.second = (FusedConv(_conv_of(part), nn.ReLU()) for part in (block.first, block.second))
+        self.first, self.second = (_quick(_conv_of(part), nn.ReLU()) for part in (block.first, block.second))
 
     def forward(self, x: Tensor) -> Tensor:
         """Add what the convolutions find."""
+        if isinstance(self.first, IntegerConv) and isinstance(self.second, IntegerConv):
+            return self.second(self.first(x, to=self.second.span), x)
         return self.second(self.first(x), x)
 
 
@@ -208,7 +211,15 @@ class FusedExact(nn.Module):
         return answer.float() + self.last(x, -answer).float()
 
 
-FUSED = (FusedConv, FusedPlanes, FusedResidual, FusedClimb, FusedExact)
+def _quick(conv: nn.Conv2d | nn.Conv3d, after: nn.Module) -> nn.Module:
+    """Return a convolution and what follows it in one pass: on 8 bits where int8.mark has noted a range."""
+    span = getattr(conv, "span", None)
+    if isinstance(span, Range) and isinstance(conv, nn.Conv2d) and isinstance(after, nn.ReLU):
+        return IntegerConv(conv, span)
+    return FusedConv(conv, after)
+
+
+FUSED = (IntegerConv, FusedConv, FusedPlanes, FusedResidual, FusedClimb, FusedExact)
 
 
 def _is_pair(sequence: nn.Sequential) -> bool:

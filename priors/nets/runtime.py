@@ -18,20 +18,21 @@ from torch import Tensor, nn
 from priors import cpu
 from priors.colours import as_rgb
 from priors.errors import DataError
-from priors.nets import speeds, weights
+from priors.nets import int8, speeds, weights
 from priors.nets.blocks import channels_last, fold
 from priors.nets.fused import fuse
 from priors.nets.memory import keep_freed
 from priors.types import Image
 
-Runtime = Literal["bf16", "fp32", "cuda", "onnx"]
-Asked = Literal["auto", "bf16", "fp32", "cuda", "onnx"]
+Runtime = Literal["bf16", "fp32", "int8", "cuda", "onnx"]
+Floating = Literal["bf16", "fp32", "cuda", "onnx"]
+Asked = Literal["auto", "bf16", "fp32", "int8", "cuda", "onnx"]
 
 _LOADING, _FORWARD = threading.Lock(), threading.Lock()
 _loaded: dict[tuple[Any, ...], "Ready"] = {}
 
 
-def choose(asked: Asked, file: Path | None = None, net: str | None = None) -> Runtime:
+def choose(asked: Asked, file: Path | None = None, net: str | None = None, size: str = "s") -> Runtime:
     """Decide 'auto': a file's own runtime, else CUDA where there is one, else what speeds.py's table says of the net.
 
     Raises DataError where what was asked for is not there.
@@ -42,12 +43,22 @@ def choose(asked: Asked, file: Path | None = None, net: str | None = None) -> Ru
             return "onnx"
         if torch.cuda.is_available():
             return "cuda"
-        return speeds.fastest(cpu.mode(), net)
+        return speeds.fastest(cpu.mode(), net, int8.runs(net, size, file))
     if is_onnx and asked != "onnx":
         raise DataError(f"{file}: an ONNX file runs with runtime onnx, not {asked}")
+    if asked == "int8" and not int8.available():
+        raise DataError("runtime int8: this CPU has no VNNI, products would overflow: choose auto")
     if asked == "cuda" and not torch.cuda.is_available():
         raise DataError("runtime cuda: PyTorch sees no CUDA device here: choose auto")
     return asked
+
+
+def choose_floating(asked: Asked, file: Path | None = None, net: str | None = None) -> Floating:
+    """Decide as `choose` does, for networks that do not run on integers."""
+    chosen = choose(asked, file, net)
+    if chosen == "int8":
+        raise DataError("runtime int8: stereo networks alone run on integers: choose auto")
+    return chosen
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,18 +88,20 @@ class Ready:
 def make_ready(net: nn.Module, runtime: Runtime, about: dict[str, Any] | None = None) -> Ready:
     """Fold, cast, fuse and lay out a network for a runtime, in place.
 
+    int8 is bf16, where the CPU multiplies that, else fp32, but for the convolutions that int8.mark noted ranges at.
     cuda runs in bf16 where the device has it. onnx keeps plain fp32: priors.nets.export turns that into a graph.
     Folded weights are rounded to bf16 for every runtime, so that all run the same network: half of what bf16 and fp32
     would disagree by comes from the weights.
     """
     fold(net.eval()).requires_grad_(False).to(torch.bfloat16)
-    if runtime != "bf16" and not (runtime == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)):
+    halves = runtime == "bf16" or (runtime == "int8" and cpu.mode() in speeds.FAST_BF16)
+    if not halves and not (runtime == "cuda" and torch.cuda.is_bf16_supported(including_emulation=False)):
         net.to(torch.float32)
     if runtime == "cuda":
         net.to("cuda")
     if runtime != "onnx":
         channels_last(net)
-    if runtime in ("bf16", "fp32"):
+    if runtime in ("bf16", "fp32", "int8"):
         fuse(net)
         keep_freed()
     return Ready(net, runtime, about or {})
@@ -110,6 +123,8 @@ def open_net(name: str, size: str, runtime: Runtime, file: Path | None = None) -
             net = create(name, size)
             found = weights.load(path)
             weights.fill(net, found, name, size)
+            if runtime == "int8":
+                int8.mark(fold(net.eval()), path)
             _loaded[key] = make_ready(net, runtime, found.about)
         return _loaded[key]
 

@@ -18,7 +18,7 @@ FILE = Path(__file__).with_name("speeds.json")
 FAST_BF16: tuple[Mode, ...] = ("amx", "avx512_bf16")
 """Modes that make bf16 the fast path where nothing was measured."""
 
-OnCpu = Literal["bf16", "fp32", "onnx"]
+OnCpu = Literal["bf16", "fp32", "int8", "onnx"]
 
 
 @cache
@@ -28,10 +28,11 @@ def table() -> dict[str, Any]:
     return found
 
 
-def fastest(mode: Mode, net: str | None) -> OnCpu:
-    """Return what runs a network fastest on CPUs of a mode, of what is installed."""
+def fastest(mode: Mode, net: str | None, integers: bool = False) -> OnCpu:
+    """Return what runs a network fastest on CPUs of a mode, of what is installed; `integers`: int8 can run it."""
     measured = table()["modes"].get(mode, {}).get("ratios", {}).get(net, {})
-    here = {runtime: ratio for runtime, ratio in measured.items() if runtime != "onnx" or has_onnx()}
+    there = {"bf16": True, "fp32": True, "int8": integers, "onnx": has_onnx()}
+    here = {runtime: ratio for runtime, ratio in measured.items() if there[runtime]}
     if not here:
         return "bf16" if mode in FAST_BF16 else "fp32"
     best: OnCpu = min(here, key=lambda runtime: float(here[runtime]))

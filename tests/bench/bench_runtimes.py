@@ -1,4 +1,4 @@
-"""Runtimes: every network in bf16, fp32 and onnxruntime, on every kind of CPU that this machine can stand in for.
+"""Runtimes: every network in bf16, fp32, int8 and onnxruntime, on every kind of CPU that this machine can stand in for.
 
     python tests/bench/bench_runtimes.py
     python tests/bench/bench_runtimes.py --write --machine "2 cores of AMD EPYC (Zen 4)"
@@ -34,7 +34,7 @@ from priors.drives import DriveOptions, open_drive
 from priors.methods.completion import Completion
 from priors.methods.mono import Mono
 from priors.methods.stereo import Stereo
-from priors.nets import speeds
+from priors.nets import int8, speeds
 from priors.nets.fused import available
 from priors.offset import NONE
 from priors.types import Frame
@@ -42,7 +42,7 @@ from priors.types import Frame
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 DRIVE = SHARED / "data/kitti_raw_train/2011_09_26/2011_09_26_drive_0009_sync"
 NETS = {"cfnet": "s", "pcwnet": "s", "bts": "m", "mffnet": "s"}
-RUNTIMES = ("bf16", "fp32", "onnx")
+RUNTIMES = ("bf16", "fp32", "int8", "onnx")
 
 
 def main() -> None:
@@ -52,7 +52,7 @@ def main() -> None:
         print(json.dumps(measure(options)))
         return
     modes: dict[str, Any] = {}
-    print("| CPU | network | SGBM ms | bf16 | fp32 | onnx |\n|---|---|---:|---:|---:|---:|")
+    print("| CPU | network | SGBM ms | bf16 | fp32 | int8 | onnx |\n|---|---|---:|---:|---:|---:|---:|")
     for mode in options.modes or [mode for mode in cpu.supported() if mode != "amx_emulated"]:
         own = mode == cpu.supported()[0]
         found = in_process(mode, options)
@@ -106,8 +106,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
     frame = in_memory(open_drive(options.data, options=DriveOptions())[options.frame])
-    runtimes = [how for how in RUNTIMES if counts(how, torch.bfloat16)]
-    runs = {(net, how): method(net, how, frame) for net in options.nets for how in runtimes}
+    counted = [(net, how) for net in options.nets for how in RUNTIMES if counts(net, how, torch.bfloat16)]
+    runs = {(net, how): method(net, how, frame) for net, how in counted}
     now = time.process_time if options.processor_time else time.perf_counter
     seconds: dict[Any, list[float]] = {key: [] for key in ("sgbm", *runs)}
     peer: list[float] = []
@@ -123,10 +123,12 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     return {"sgbm_ms": 1e3 * float(np.median(peer)), "ratios": ratios}
 
 
-def counts(how: str, kind: Any) -> bool:
+def counts(net: str, how: str, kind: Any) -> bool:
     """Tell whether a runtime's time says something about this process's kind of CPU."""
     if how == "bf16":
         return available(kind)
+    if how == "int8":
+        return int8.runs(net, NETS[net])
     return how == "fp32" or cpu.mode() in ("avx512_bf16", "avx512") or cpu.mode() == _own()
 
 

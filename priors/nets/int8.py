@@ -1,0 +1,235 @@
+"""Convolutions of 8-bit integers, on CPUs that multiply four of them at a time (VNNI), in stereo networks.
+
+    python -m priors.nets.int8 --net cfnet --data KITTI/odometry/sequences/06 street/ --every 10
+
+measures in which range the inputs of the large 2D convolutions lie, on drives that trained the network, and writes it
+beside the weights: FILE.int8.json. Weights get a scale for each output (Krishnamoorthi 2018, "Quantizing deep
+convolutional networks for efficient inference", section 3), inputs one scale and zero for all. Everything else of the
+network stays as it is. Without VNNI pairs of products saturate at 16 bits, so that it is refused there.
+"""
+
+import json
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from priors import codecs, cpu, threads
+from priors.errors import DataError
+from priors.nets import weights
+from priors.nets.bits import as_bits
+
+LEAST_INPUTS, LEAST_OUTPUTS = 28, 9
+"""Channels from which on a convolution gains more than rounding its input costs."""
+TAIL = 1e-5
+"""Share of the values that may lie beyond a range, on either side."""
+
+
+@dataclass(frozen=True, slots=True)
+class Range:
+    """Where the values of a convolution's input lie, 0 among them."""
+
+    low: float
+    high: float
+
+    @property
+    def scale(self) -> float:
+        """What a step of the 8 bits stands for."""
+        return max(self.high - self.low, 1e-6) / 255
+
+    @property
+    def zero(self) -> int:
+        """The number that stands for 0."""
+        return round(-self.low / self.scale)
+
+
+class IntegerConv(nn.Module):
+    """A 2D convolution on 8 bits, plus a given map, and a ReLU; takes and gives what it stands in for."""
+
+    def __init__(self, conv: nn.Conv2d, span: Range) -> None:
+        super().__init__()
+        self.span = span
+        self.shape = [list(map(int, sizes)) for sizes in (conv.stride, conv.padding, conv.dilation)]
+        weight = conv.weight.detach().float()
+        self.scales = weight.abs().amax((1, 2, 3)).clamp(min=1e-12) / 127
+        whole = (weight / self.scales[:, None, None, None]).round().to(torch.int8)
+        pack = torch.ops.onednn.qconv_prepack
+        self.weight = pack(whole, self.scales, span.scale, span.zero, *self.shape, conv.groups, None)
+        self.zeros = torch.zeros(len(self.scales), dtype=torch.int32)
+        self.bias = None if conv.bias is None else conv.bias.detach().float()
+        self.groups = conv.groups
+
+    def forward(self, x: Tensor, plus: Tensor | None = None, to: Range | None = None) -> Tensor:
+        """Return relu(conv(x) + plus), (b, channels, h, w), of x's type, or in 8 bits for what has the range `to`.
+
+        x may be in 8 bits of its own range already; the result has then the type of `plus`.
+        """
+        whole = x if x.dtype == torch.uint8 else self._rounded(x)
+        given = whole, self.span.scale, self.span.zero, self.weight, self.scales, self.zeros
+        scale, zero, kind = (1.0, 0, x.dtype) if to is None else (to.scale, to.zero, torch.uint8)
+        run = torch.ops.onednn.qconv2d_pointwise
+        if plus is None:
+            found: Tensor = run(*given, self.bias, *self.shape, self.groups, scale, zero, kind, "relu", [], "")
+            return found
+        total = plus.clone()  # it is added to in place
+        return run.binary(
+            *given, total, self.bias, *self.shape, self.groups, 1.0, 0, plus.dtype, 1.0, 0, "sum", 1.0, "relu", [], ""
+        )
+
+    def _rounded(self, x: Tensor) -> Tensor:
+        """Return x in 8 bits, channels-last."""
+        from priors.kernels import quantise as kernels
+
+        plain = x.permute(0, 2, 3, 1).contiguous()
+        out = torch.empty(plain.shape, dtype=torch.uint8)
+        bits, flat = as_bits(plain).reshape(-1), out.view(-1).numpy()
+        numbers = torch.tensor([1 / self.span.scale, self.span.zero]).numpy()
+        threads.over(
+            len(bits),
+            lambda first, last: kernels.quantise(bits, numbers[0], numbers[1], flat, first, last),
+            threads.worth(kernels.ITEM_NS),
+        )
+        return out.permute(0, 3, 1, 2)
+
+
+def candidates(net: nn.Module) -> dict[str, nn.Conv2d]:
+    """Return the convolutions that are worth it, by name: those that a ReLU follows. Logits keep their precision."""
+    return {
+        name: layer
+        for name, layer in net.named_modules()
+        if isinstance(layer, nn.Conv2d)
+        and name.endswith(".0")  # the first of a block: see blocks.conv
+        and layer.kernel_size == (3, 3)
+        and layer.in_channels >= LEAST_INPUTS
+        and layer.out_channels >= LEAST_OUTPUTS
+    }
+
+
+def mark(net: nn.Module, file: Path) -> None:
+    """Note at each candidate the range that was measured for a file of weights; fused.py does the rest."""
+    ranges = read(file)
+    for name, layer in candidates(net).items():
+        if name not in ranges:
+            raise DataError(
+                f"{beside(file)}: no range for {name}: made for another network; make it again (priors.nets.int8)"
+            )
+        layer.span = ranges[name]  # type: ignore[assignment]
+
+
+def beside(file: Path) -> Path:
+    """Return where the ranges of a file of weights lie."""
+    return file.with_suffix(".int8.json")
+
+
+def read(file: Path) -> dict[str, Range]:
+    """Read the ranges of a file of weights; DataError where there are none or they are of other weights."""
+    path = beside(file)
+    try:
+        found = json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: no ranges for int8: make them with python -m priors.nets.int8") from error
+    if found.get("weights") != weights.digest(file):
+        raise DataError(f"{path}: ranges of other weights: make them again with python -m priors.nets.int8")
+    return {name: Range(*ends) for name, ends in found["ranges"].items()}
+
+
+def runs(net: str | None, size: str, file: Path | None = None) -> bool:
+    """Tell whether a network with its weights has ranges, and this CPU the instructions."""
+    try:
+        return available() and net is not None and bool(read(weights.find(net, size, file)))
+    except DataError:
+        return False
+
+
+def digest(file: Path) -> str:
+    """Return the hash of a file of weights together with its ranges: what decides the maps."""
+    spans = sorted((name, span.low, span.high) for name, span in read(file).items())
+    return sha256(f"{weights.digest(file)} {spans}".encode()).hexdigest()
+
+
+def available() -> bool:
+    """Tell whether this CPU, in its mode, multiplies 8-bit integers without overflow."""
+    return cpu.mode() in ("amx", "avx512_bf16", "avx512") and "avx512vnni" in cpu.features()
+
+
+@contextmanager
+def watched(net: nn.Module) -> Iterator[dict[str, Range]]:
+    """Widen the ranges of the candidates' inputs by what runs through a plain network inside."""
+    found: dict[str, Range] = {}
+
+    def look(name: str) -> Any:
+        def hook(layer: nn.Module, inputs: tuple[Tensor, ...]) -> None:
+            some = inputs[0].float().flatten()[:: max(1, inputs[0].numel() // 2_000_000)]
+            low, high = (float(torch.quantile(some, share)) for share in (TAIL, 1 - TAIL))
+            before = found.get(name, Range(0, 0))
+            found[name] = Range(min(before.low, low), max(before.high, high))
+
+        return hook
+
+    hooks = [layer.register_forward_pre_hook(look(name)) for name, layer in candidates(net).items()]
+    try:
+        yield found
+    finally:
+        for hook in hooks:
+            hook.remove()
+
+
+def measure(net: str, size: str, pairs: Iterable[tuple[Tensor, Tensor]], file: Path | None = None) -> dict[str, Range]:
+    """Return the ranges on pairs (1, 3, h, w) in [0, 1]."""
+    from priors.nets.runtime import open_net
+
+    ready = open_net(net, size, "onnx", file)  # plain, float32
+    with watched(ready.net) as found:
+        for left, right in pairs:
+            ready(left, right, largest_px=192)
+    return found
+
+
+def main() -> None:
+    """Measure and write ranges."""
+    import tyro
+
+    tyro.cli(calibrate, description=__doc__)
+
+
+def calibrate(
+    net: str,
+    data: list[Path],
+    every: int = 10,
+    size: str = "s",
+    weights_file: Path | None = None,
+) -> None:
+    """Write the ranges of a stereo network's inputs on drives' pairs.
+
+    Args:
+        net: cfnet or pcwnet.
+        data: drives with pairs; none that is for testing.
+        every: take every so many frames.
+        size: s, m or l.
+        weights_file: your own weights; default: what ships.
+    """
+    from priors.drives import open_drive
+    from priors.nets.runtime import as_input
+
+    path = weights.find(net, size, weights_file)
+    drives = [open_drive(folder) for folder in data]
+    frames = [drive[k] for drive in drives for k in range(0, len(drive), every)]
+    pairs = ((as_input(frame.image()), as_input(frame.other())) for frame in frames)
+    ranges = measure(net, size, pairs, weights_file)
+    text = {
+        "weights": weights.digest(path),
+        "data": [drive.name for drive in drives],
+        "pairs": len(frames),
+        "ranges": {name: [round(span.low, 5), round(span.high, 5)] for name, span in ranges.items()},
+    }
+    codecs.write_bytes(beside(path), (json.dumps(text) + "\n").encode())
+    print(f"wrote {beside(path)}: {len(ranges)} convolutions, {len(frames)} pairs")
+
+
+if __name__ == "__main__":
+    main()
