@@ -43,18 +43,18 @@ def test_an_integer_convolution_is_a_convolution(kind: torch.dtype, low: float, 
         pytest.skip("oneDNN has no bfloat16 results without the instructions, and int8 runs beside float32 there")
     torch.manual_seed(0)
     layer = nn.Conv2d(32, 16, 3, stride, padding=1)
-    # Half of the range is used: products of pairs stay within 16 bits on CPUs without VNNI too.
-    span = Range(2 * low, 2 * high)
+    # The lower half of the steps is used: products of pairs stay within 16 bits on CPUs without VNNI too.
+    span = Range(low, high + 2 * (high - low))
     x = wide_map(32, low, high).to(kind)
     whole = IntegerConv(layer.requires_grad_(False).to(kind), span)
     wanted = torch.relu(layer.float()(x.float()))
     found = whole(x)
     assert found.dtype == kind and found.shape == wanted.shape
-    assert float((found.float() - wanted).norm() / wanted.norm()) < 0.02
+    assert float((found.float() - wanted).norm() / wanted.norm()) < 0.03
     plus = torch.randn_like(wanted).to(kind).contiguous(memory_format=torch.channels_last)
     before = plus.clone()
     more = torch.relu(layer(x.float()) + plus.float())
-    assert float((whole(x, plus).float() - more).norm() / more.norm()) < 0.02
+    assert float((whole(x, plus).float() - more).norm() / more.norm()) < 0.03
     assert torch.equal(plus, before)  # what was given is not written to
 
 
@@ -64,11 +64,11 @@ def test_a_residual_block_hands_bytes_from_one_to_the_other() -> None:
     x = wide_map(32, 0, 1)
     wanted = block(x)
     between = block[0].first(x)
-    block[0].first[0].span = Range(0, 2)
-    block[0].second[0].span = Range(0, 2 * float(between.max()))
+    block[0].first[0].span = Range(0, 3)
+    block[0].second[0].span = Range(0, 3 * float(between.max()))
     fused = fuse(block)
     assert isinstance(fused[0], FusedResidual) and isinstance(fused[0].second, IntegerConv)
-    assert float((fused(x) - wanted).norm() / wanted.norm()) < 0.02
+    assert float((fused(x) - wanted).norm() / wanted.norm()) < 0.03
 
 
 def test_only_what_gains_by_it_is_a_candidate() -> None:
