@@ -178,7 +178,8 @@ def test_the_shipped_table_knows_only_networks_and_runtimes_that_there_are() -> 
     for mode, row in table["modes"].items():
         assert mode in get_args(Mode) and row["measured"] in ("natively", "held down")
         for net, ratios in row["ratios"].items():
-            assert net in ("cfnet", "pcwnet", "bts", "mffnet") and {"fp32"} <= set(ratios) <= {"bf16", "fp32", "onnx"}
+            assert net in ("cfnet", "pcwnet", "bts", "mffnet")
+            assert {"fp32"} <= set(ratios) <= {"bf16", "fp32", "int8", "onnx"}
             assert all(ratio > 0 for ratio in ratios.values())
 
 
