@@ -13,7 +13,9 @@ import torch
 from nerf.field import Field, FieldConfig
 from nerf.samples import Samples
 from priors import threads
+from priors.nets import runtime
 
+pytestmark = pytest.mark.skipif(threads.available() < 2, reason="one core: there is nothing to share")
 ROUNDS = 9
 SLACK = 1.25
 """The machine's own noise; threads that spin were 6 times slower."""
@@ -31,18 +33,17 @@ def burning() -> Iterator[None]:
 
 
 def medians(work: Callable[[], object]) -> dict[int, float]:
-    """Return the median seconds of one and of two threads, in turns."""
+    """Return the median seconds of one and of two threads, in turns, beside the other process."""
     found: dict[int, list[float]] = {1: [], 2: []}
     for _ in range(ROUNDS):
         for count, seconds in found.items():
-            with threads.limited(count), threads.quiet():
+            with threads.limited(count):
                 start = time.perf_counter()
                 work()
                 seconds.append(time.perf_counter() - start)
     return {count: statistics.median(seconds) for count, seconds in found.items()}
 
 
-@pytest.mark.skipif(threads.available() < 2, reason="one core: there is nothing to share")
 def test_a_step_of_a_field() -> None:
     count, rays = 16384, 512
     generator = torch.Generator().manual_seed(0)
@@ -52,6 +53,7 @@ def test_a_step_of_a_field() -> None:
     units = torch.nn.functional.normalize(torch.randn(rays, 3, generator=generator), dim=-1)
     field = Field(FieldConfig())
 
+    @threads.quiet()
     def step() -> None:
         field.forward(samples, units)
         field.backward(flat, torch.zeros(count, 3))
@@ -59,4 +61,17 @@ def test_a_step_of_a_field() -> None:
     step()  # compiles
     with burning():
         found = medians(step)
+    assert found[2] < SLACK * found[1], found
+
+
+def test_a_network() -> None:
+    net = runtime.open_net("cfnet", "s", runtime.choose("auto", net="cfnet"))
+    left, right = torch.rand(2, 1, 3, 192, 640, generator=torch.Generator().manual_seed(0))
+
+    def match() -> None:
+        net(left, right, largest_px=64)
+
+    match()
+    with burning():
+        found = medians(match)
     assert found[2] < SLACK * found[1], found
