@@ -13,11 +13,23 @@ from numba import types
 from numba.extending import intrinsic
 
 from nerf.kernels import x86
-from nerf.kernels.lanes import _F32, _FLOATS, _I32, _INTS, _call, _place, high_float, low_float, store, store_pairs
+from nerf.kernels.lanes import (
+    _F32,
+    _FLOATS,
+    _I32,
+    _INTS,
+    TILE,
+    _call,
+    _place,
+    everywhere,
+    high_float,
+    low_float,
+    store,
+    store_pairs,
+)
 from priors.compiled import compiled
 from priors.cpu import mode
 
-TILE = 256
 PAIRED = mode() == "avx512_bf16"
 """Whether this mode has a product of pairs of bfloat16."""
 OUTPUTS, GROUPS = {"avx512_bf16": (8, 2), "avx512": (8, 2), "avx2": (2, 2)}.get(mode(), (2, 1))
@@ -29,12 +41,6 @@ OPERAND: type[np.int32] | type[np.float32] = np.int32 if PAIRED else np.float32
 """The type of A: a word of two bfloat16, or two float32."""
 
 _I64 = ir.IntType(64)
-
-
-def _everywhere(builder: Any, value: Any, vector: Any) -> Any:
-    """Emit a vector of one value."""
-    lane = builder.insert_element(ir.Constant(vector, ir.Undefined), value, _I32(0))
-    return builder.shuffle_vector(lane, ir.Constant(vector, ir.Undefined), ir.Constant(_INTS, [0] * 16))
 
 
 def _halves(builder: Any, words: Any) -> tuple[Any, Any]:
@@ -50,10 +56,10 @@ def _row(builder: Any, a: Any, place: Any, output: int) -> list[Any]:
     """Emit what A holds for an output and a pair of inputs, in all lanes; `a` tells the address of an index."""
     start = builder.add(place, _I64(16 * output))
     if PAIRED:
-        return [_everywhere(builder, builder.load(a(start, _I32), align=4), _INTS)]
+        return [everywhere(builder, builder.load(a(start, _I32), align=4), _INTS)]
     start = builder.shl(start, _I64(1))
     addresses = (a(builder.add(start, _I64(side)), _F32) for side in range(2))
-    return [_everywhere(builder, builder.load(address, align=4), _FLOATS) for address in addresses]
+    return [everywhere(builder, builder.load(address, align=4), _FLOATS) for address in addresses]
 
 
 def _added(builder: Any, total: Any, row: list[Any], words: Any) -> Any:

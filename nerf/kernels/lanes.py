@@ -19,6 +19,8 @@ from numba.extending import intrinsic, lower_builtin, models, register_model
 from priors.compiled import compiled
 
 WIDTH = 16
+TILE = WIDTH * WIDTH
+"""Words of a tile: 16 rows of 16."""
 
 _I32, _F32 = ir.IntType(32), ir.FloatType()
 _INTS, _FLOATS = ir.VectorType(_I32, WIDTH), ir.VectorType(_F32, WIDTH)
@@ -147,12 +149,16 @@ def store_halves(typing: Any, array: Any, index: Any, value: Any) -> Any:
     return types.void(array, types.int64, Ints), gen
 
 
+def everywhere(builder: Any, value: Any, vector: Any) -> Any:
+    """Emit a vector of 16 times one value."""
+    lane = builder.insert_element(ir.Constant(vector, ir.Undefined), value, ir.Constant(_I32, 0))
+    return builder.shuffle_vector(lane, ir.Constant(vector, ir.Undefined), ir.Constant(_INTS, [0] * WIDTH))
+
+
 def _splatter(kind: Any, scalar: Any, vector: Any, doc: str) -> Any:
     def splat(typing: Any, value: Any) -> Any:
         def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            lane = builder.insert_element(ir.Constant(vector, ir.Undefined), args[0], ir.Constant(_I32, 0))
-            mask = ir.Constant(_INTS, [0] * WIDTH)
-            return builder.shuffle_vector(lane, ir.Constant(vector, ir.Undefined), mask)
+            return everywhere(builder, args[0], vector)
 
         return kind(scalar), gen
 

@@ -1,12 +1,13 @@
 """The products of tiles that this CPU does fastest: `tiles` with matrix tiles, `dots` without."""
 
 from nerf.kernels import lanes
+from nerf.kernels.lanes import TILE
 from priors.cpu import mode
 
 if mode() in ("amx", "amx_emulated"):
-    from nerf.kernels.tiles import OPERAND, TILE, begin, end, product, product_added, store_operand
+    from nerf.kernels.tiles import OPERAND, begin, end, product, product_added, store_operand
 else:
-    from nerf.kernels.dots import OPERAND, TILE, begin, end, product, product_added, store_operand
+    from nerf.kernels.dots import OPERAND, begin, end, product, product_added, store_operand
 
 pack = lanes.pack
 if mode() in ("amx", "avx512_bf16"):
