@@ -1,4 +1,4 @@
-"""Beside a process that burns a core two threads are never slower than one: nobody waits for a fixed share of work."""
+"""Beside a process that burns a core two threads are never slower than one: nobody spins or waits for a fixed share."""
 
 import statistics
 import subprocess
@@ -19,6 +19,8 @@ pytestmark = pytest.mark.skipif(threads.available() < 2, reason="one core: there
 ROUNDS = 9
 SLACK = 1.25
 """The machine's own noise; threads that spin were 6 times slower."""
+TRIES = 6
+"""A neighbour on the host can take a core for a second. Threads that spin are slower in every try."""
 
 
 @contextmanager
@@ -44,6 +46,16 @@ def medians(work: Callable[[], object]) -> dict[int, float]:
     return {count: statistics.median(seconds) for count, seconds in found.items()}
 
 
+def never_slower(work: Callable[[], object]) -> None:
+    tries = []
+    with burning():
+        for _ in range(TRIES):
+            tries.append(medians(work))
+            if tries[-1][2] < SLACK * tries[-1][1]:
+                return
+    pytest.fail(f"two threads are slower than one in every try: {tries}")
+
+
 def test_a_step_of_a_field() -> None:
     count, rays = 16384, 512
     generator = torch.Generator().manual_seed(0)
@@ -59,9 +71,7 @@ def test_a_step_of_a_field() -> None:
         field.backward(flat, torch.zeros(count, 3))
 
     step()  # compiles
-    with burning():
-        found = medians(step)
-    assert found[2] < SLACK * found[1], found
+    never_slower(step)
 
 
 def test_a_network() -> None:
@@ -72,6 +82,4 @@ def test_a_network() -> None:
         net(left, right, largest_px=64)
 
     match()
-    with burning():
-        found = medians(match)
-    assert found[2] < SLACK * found[1], found
+    never_slower(match)
