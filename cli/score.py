@@ -17,11 +17,11 @@ from eval.curves import Curves, Metric, Samples, best, curves, join
 from eval.protocol import PRESETS, Protocol, ScoreError, preset
 from eval.result import Result, Scored, score
 from priors import cache, codecs
-from priors.build import select
 from priors.cache import Prior
 from priors.draw.plot import Line, plot
 from priors.errors import DataError
 from priors.naming import labels
+from priors.selection import select
 from priors.types import Drive, Image
 
 EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior.

@@ -11,13 +11,13 @@ import tyro
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import out, progress
 from priors import cache, codecs
-from priors.build import select
 from priors.cache import Prior
 from priors.codecs import as_rgb
 from priors.draw import panel
 from priors.draw.panel import Tile
 from priors.errors import DataError
 from priors.naming import labels
+from priors.selection import select
 from priors.types import Depth, Frame, Image
 
 EXAMPLES = """Write pictures: image and truth on top, then a row a prior - depth, error against the truth, confidence.

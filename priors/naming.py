@@ -3,7 +3,6 @@
 import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -55,5 +54,5 @@ def _defaults(method: str) -> dict[str, Any]:
     """Return a method's usual settings; none for a method this version does not know."""
     if method not in methods.names():
         return {}
-    defaults: dict[str, Any] = json.loads(json.dumps(asdict(methods.config_type(method)())))
+    defaults: dict[str, Any] = json.loads(json.dumps(methods.config_type(method)().record()))
     return defaults  # as JSON has it, like the manifest: a tuple is a list

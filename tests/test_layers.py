@@ -10,6 +10,7 @@ ROOMS = [
     "eval",
     "priors/errors",
     "priors/types",
+    "priors/selection",
     "priors/codecs",
     "priors/machine",
     "priors/kernels",

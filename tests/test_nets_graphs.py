@@ -168,7 +168,7 @@ def test_the_methods_run_in_onnxruntime(tmp_path: Path) -> None:
     weights.write(file, network("mffnet", "s"), {"net": "mffnet", "size": "s"})
     sparse_m = np.where(rng.random((45, 70)) < 0.1, np.float32(20), np.float32(0))
     made = [
-        Completion(model="mffnet", size="s", runtime=how, weights=file).mend(sparse_m, image, camera)
+        Completion(model="mffnet", size="s", runtime=how, weights=file).fill(sparse_m, image, camera)
         for how in ("onnx", "fp32")
     ]
     np.testing.assert_allclose(made[0].depth_m, made[1].depth_m, rtol=5e-3)

@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from priors.adapt.batch import Batch
 from priors.errors import DataError
 from priors.nets.bts import MonoOut
+from priors.selection import held_out
 from priors.types import Drive
 
 Read = TypeVar("Read")
@@ -72,11 +73,7 @@ def training_views(count: int, chosen: Sequence[int], hold_out: str, most: int |
             holds out), or none.
         most: how many to return at most; None: all.
     """
-    try:
-        parts = [int(part) if part else None for part in hold_out.split(":")] if hold_out != "none" else [0, 0]
-        out = set(chosen[slice(*parts)] if len(parts) > 1 else [chosen[parts[0] or 0]])
-    except (ValueError, TypeError, IndexError) as error:
-        raise DataError(f"--mono.hold-out {hold_out}: expected start:stop:step, for example 9::10, or none") from error
+    out = held_out(chosen, hold_out)
     kept = [index for index in chosen if index not in out]
     if not kept:
         raise DataError(f"--mono.hold-out {hold_out} leaves no frame of {count} to adapt on: hold out fewer")

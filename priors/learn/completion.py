@@ -18,7 +18,7 @@ from priors.errors import DataError
 from priors.learn import scans
 from priors.learn.accumulated import Drive
 from priors.learn.scans import Scene, Shown, Streets
-from priors.methods.completion import EVERYWHERE_PX, complete
+from priors.methods._completion_classical import EVERYWHERE_PX, complete
 from priors.nets.mffnet import Completed, Mffnet
 from priors.types import FloatMap, Image
 

@@ -13,9 +13,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from priors import geometry
-from priors.build import shard
 from priors.learn import sample as samples
 from priors.learn.sample import PER_WORLD, Sample
+from priors.selection import shard
 from priors.street import lidar, rig
 from priors.street.config import StreetConfig
 from priors.street.street import Street

@@ -6,7 +6,8 @@ command line's flags, the cache's key and the manifest's record; called with a f
 
 import pkgutil
 from importlib import import_module
-from typing import Any
+
+from priors.types import Method
 
 
 def names() -> list[str]:
@@ -14,7 +15,7 @@ def names() -> list[str]:
     return sorted(module.name for module in pkgutil.iter_modules(__path__) if not module.name.startswith("_"))
 
 
-def config_type(name: str) -> type[Any]:
+def config_type(name: str) -> type[Method]:
     """Return a method's dataclass."""
-    method: type[Any] = getattr(import_module(f"{__name__}.{name}"), name.title().replace("_", ""))
+    method: type[Method] = getattr(import_module(f"{__name__}.{name}"), name.title().replace("_", ""))
     return method

@@ -158,7 +158,7 @@ def method(net: str, how: Any, frame: Frame) -> Callable[[], Any]:
     if net == "mffnet":
         completion = Completion(model="mffnet", size="s", runtime=how, source="lidar")
         sparse = completion.resolve(frame).lidar(frame).depth_m
-        return lambda: completion.mend(sparse, frame.image(), frame.camera)
+        return lambda: completion.fill(sparse, frame.image(), frame.camera)
     model: Any = net
     stereo = Stereo(model=model, size="s", runtime=how, offset_px=NONE.field_px)
     return lambda: stereo(frame)
