@@ -10,8 +10,8 @@ from importlib.metadata import version
 from rich.markup import escape
 
 from cli.console import USAGE_ERROR, err, guarded, out
-from priors import cpu
 from priors.errors import DataError
+from priors.machine import cpu
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from factories import write_argoverse_stereo, write_argoverse_tracking, write_folder, write_odometry, write_raw
 
-from priors import cpu
+from priors.machine import cpu
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 DATA = SHARED / "data"

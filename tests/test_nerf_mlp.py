@@ -19,7 +19,7 @@ from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin
 from nerf.twin.field import LOGIT_MAX
 from nerf.types import Layers
-from priors import threads
+from priors.machine import threads
 
 INITIAL = 0.02
 SIZES = pytest.mark.parametrize(

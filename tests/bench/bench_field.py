@@ -27,7 +27,7 @@ from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
 from nerf.types import GridConfig, Samples
-from priors import cpu, threads
+from priors.machine import cpu, threads
 
 PER_RAY = 32
 

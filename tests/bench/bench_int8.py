@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from priors import codecs, cpu
+from priors import codecs
+from priors.machine import cpu
 from priors.nets import runtime
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"

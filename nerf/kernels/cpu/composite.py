@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from nerf.types import INTERLEVEL_SOFT, LEAST_MASS, LEAST_OPACITY, SIGHT_DEVIATIONS
-from priors.compiled import FAST, compiled
+from priors.machine.compiled import FAST, compiled
 
 
 @compiled(fastmath=FAST)

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from nerf.kernels.cpu import composite
 from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples
-from priors import threads
+from priors.machine import threads
 
 
 def forward(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nerf.kernels.plain import sample as plain
 from nerf.types import Course, Samples, padded_count
-from priors import threads
+from priors.machine import threads
 
 
 def pick(course: Course, kept: Tensor | None, resolution: int) -> Samples:

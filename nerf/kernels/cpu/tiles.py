@@ -20,8 +20,8 @@ from nerf.kernels.cpu.lanes import (
     store,
 )
 from nerf.kernels.cpu.x86 import configuration, configure, release, tile_load, tile_product, tile_store, tile_zero
-from priors.compiled import compiled
-from priors.cpu import mode
+from priors.machine.compiled import compiled
+from priors.machine.cpu import mode
 
 OPERAND: type[np.int32] | type[np.float32] = np.int32
 EMULATED = mode() == "amx_emulated"

@@ -19,8 +19,8 @@ from typing import Any
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 
-from priors.cpu import mode
-from priors.notices import on_compile, on_compiled
+from priors.machine.cpu import mode
+from priors.machine.notices import on_compile, on_compiled
 
 FAST = {"reassoc", "contract", "nsz", "arcp"}
 """Floating-point freedoms of most kernels; neither nnan nor ninf: an overflow must stay visible."""
@@ -72,7 +72,7 @@ def _places() -> list[Path]:
 @cache
 def _digest() -> str:
     """Hash the source of all kernels, and of what they are made of."""
-    root = Path(__file__).resolve().parent
+    root = Path(__file__).resolve().parents[1]
     fields = root.parent / "nerf"
     ours = [*root.glob("kernels/*.py"), *fields.glob("kernels/**/*.py"), fields / "types.py", Path(__file__)]
     files = [file for file in ours if file.exists()]
