@@ -41,6 +41,8 @@ def thin(street: Path, out: Path) -> None:
 
 def fit() -> None:
     """Fit two small runs, one to its end, one stopped half way: the command has no flag for the grid's size."""
+    from safetensors.torch import load_file, save_file
+
     from cli.report import LpipsArguments, report_run
     from nerf.fit import FitConfig, fit
     from nerf.losses import LossConfig
@@ -49,7 +51,6 @@ def fit() -> None:
     from priors import cache
     from priors.drives import open_drive
     from priors.filters import Filters
-    from safetensors.torch import load_file, save_file
 
     def stop(status: object) -> None:
         if status.step == STEPS // 2:
