@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 import tyro
 
 from cli.renamed import translate
-from priors import drives, threads
+from priors import drives
 from priors.cache import Prior
 from priors.drives import DriveOptions
 from priors.errors import UsageError
+from priors.machine import threads
 from priors.types import Drive
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs

@@ -13,7 +13,7 @@ from cli.console import err
 from priors.records import aliases, nested_config
 
 _NO_PREFIX = get_args(tyro.conf.OmitArgPrefixes[int])[1]
-_Named = type(tyro.conf.arg())
+_Named: Any = type(tyro.conf.arg())
 
 
 @dataclass(frozen=True)

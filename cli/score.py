@@ -19,9 +19,9 @@ from eval.result import Result, Scored, score
 from priors import cache, codecs
 from priors.build import select
 from priors.cache import Prior
+from priors.draw.plot import Line, plot
 from priors.errors import DataError
-from priors.labels import labels
-from priors.plot import Line, plot
+from priors.naming import labels
 from priors.types import Drive, Image
 
 EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior.

@@ -10,13 +10,14 @@ import tyro
 
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import out, progress
-from priors import cache, codecs, picture
+from priors import cache, codecs
 from priors.build import select
 from priors.cache import Prior
-from priors.colours import as_rgb
+from priors.codecs import as_rgb
+from priors.draw import panel
+from priors.draw.panel import Tile
 from priors.errors import DataError
-from priors.labels import labels
-from priors.picture import Tile
+from priors.naming import labels
 from priors.types import Depth, Frame, Image
 
 EXAMPLES = """Write pictures: image and truth on top, then a row a prior - depth, error against the truth, confidence.
@@ -80,12 +81,12 @@ def compare(frame: Frame, rows: Sequence[tuple[str, Depth]], width: int) -> Imag
     dark = Tile(image * 0, "")
     tiles = [Tile(image, f"frame {frame.id}"), dark, dark]
     if truth is not None:
-        tiles[1] = picture.depth_tile(truth, "truth")
+        tiles[1] = panel.depth_tile(truth, "truth")
     if frame.has("other"):
         tiles[2] = Tile(as_rgb(frame.other()), "the pair's other image")
     for name, depth in rows:
-        tiles.append(picture.depth_tile(depth, name))
-        tiles.append(dark if truth is None else picture.error_tile(depth, truth))
-        tiles.append(dark if depth.confidence is None else picture.confidence_tile(depth))
+        tiles.append(panel.depth_tile(depth, name))
+        tiles.append(dark if truth is None else panel.error_tile(depth, truth))
+        tiles.append(dark if depth.confidence is None else panel.confidence_tile(depth))
     used = 3 if any(depth.confidence is not None for _, depth in rows) else 2
-    return picture.panel([tile for i, tile in enumerate(tiles) if i % 3 < used], used, width)
+    return panel.panel([tile for i, tile in enumerate(tiles) if i % 3 < used], used, width)

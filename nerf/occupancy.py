@@ -27,8 +27,8 @@ from nerf.samples import Samples
 from nerf.scene import Scene
 from nerf.space import Space
 from nerf.twin.sample import cells
-from priors import threads
 from priors.geometry import rays as pixel_rays
+from priors.machine import threads
 
 Density = Callable[[Tensor, Tensor], Tensor]
 Bytes = npt.NDArray[np.uint8]

@@ -21,7 +21,7 @@ from nerf.samples import BLOCK, Samples
 from nerf.space import Space
 from nerf.twin import sample as twin
 from nerf.twin.sample import Course, Picked
-from priors import threads
+from priors.machine import threads
 
 Key: TypeAlias = tuple[int, int]
 _SHIFTS, _UNGUIDED = 1, 2

@@ -20,9 +20,9 @@ from eval.sheet import Column, Sheet
 from nerf.report import Report
 from nerf.study import NONE, SHARES, Outcome, RunSpec
 from priors import cache, codecs
+from priors.draw.plot import Line, plot
 from priors.errors import DataError
-from priors.labels import labels
-from priors.plot import Line, plot
+from priors.naming import labels
 
 COLUMNS = {
     "psnr": Column("PSNR", "dB", higher=True, digits=2),

@@ -7,7 +7,7 @@ from nerf.model import Model
 from nerf.pictures import Render, RenderedView
 from nerf.rays import Rays
 from nerf.scene import view_rays
-from priors import threads
+from priors.machine import threads
 from priors.types import Camera, Matrix
 
 PIECE = 8192

@@ -197,3 +197,8 @@ def _encode(path: Path, pixels: npt.NDArray[Any], options: list[int]) -> bytes:
     if not done:
         raise DataError(f"{path}: OpenCV cannot write {pixels.dtype} {pixels.shape} as {path.suffix}")
     return data.tobytes()
+
+
+def as_rgb(image: Image) -> Image:
+    """Return the image as (height, width, 3)."""
+    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image

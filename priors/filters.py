@@ -164,7 +164,7 @@ class LeftRight:
 
     def __call__(self, depth: Depth, frame: Frame) -> Depth:
         """Invalidate what the other view does not confirm."""
-        from priors.matching import quick_match
+        from priors.pairs.matching import quick_match
 
         this, other = frame.image(), frame.other()
         if frame.baseline_m is None:

@@ -18,7 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors.colours import as_rgb
+from priors.codecs import as_rgb
 from priors.types import Depth, FloatMap, Image, Mask
 
 VERSION = 1

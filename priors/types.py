@@ -70,6 +70,21 @@ class Sweep:
     """(6,) ego motion in the LiDAR's frame at the reference time: m/s, then rad/s; None where unknown."""
 
 
+@dataclass(frozen=True, slots=True)
+class Rig:
+    """A car, and the error that the rectification of its stereo pairs usually has; see priors/pairs/offset.py."""
+
+    name: str
+    focal_px: float
+    """Focal length of the images on which the error was measured, px."""
+    shift_px: float
+    tilt_px: float
+    yaw_px: float
+    pitch_px: float
+    scale: float
+    """Calibrated over true baseline."""
+
+
 Reader: TypeAlias = Callable[[], Any]
 
 
@@ -94,8 +109,8 @@ class Frame:
     """Distance to the other camera of the stereo pair, metres, > 0."""
     side: Literal["left", "right"] = "left"
     """Which eye of the pair this camera is."""
-    rig: str | None = None
-    """The car that took it, where what its pairs are off by is known (priors/offset.py)."""
+    rig: Rig | None = None
+    """The car that took it, where the error of its rectification is known."""
 
     def has(self, what: str) -> bool:
         """Tell whether `what` (image, other, sweep, truth, sparse, sky) can be read here."""

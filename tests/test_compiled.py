@@ -14,12 +14,12 @@ from rich.console import Console
 from rich.progress import Progress
 
 from cli.compiling import Column, Watch
-from priors import notices
+from priors.machine import notices
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALL = """
-from priors.compiled import compiled, kept_in
-from priors.notices import on_compile, on_compiled
+from priors.machine.compiled import compiled, kept_in
+from priors.machine.notices import on_compile, on_compiled
 from small import twice
 told = []
 on_compile.append(lambda name: told.append(f"begin {name}"))
@@ -28,7 +28,7 @@ assert twice(3) == 6
 print(kept_in(), *told, sep=";")
 """
 MODULE = """
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 @compiled
 def once(x):

@@ -12,13 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from priors import build
+from priors.adapt.depth_supervision import Measured
+from priors.adapt.finetune import AdaptConfig, adapt, training_views
+from priors.adapt.objective import loss, nearest_of_cells, silog
+from priors.adapt.views import SKY, SURFACE, View, cut
 from priors.errors import DataError
 from priors.filters import Filters
-from priors.known import READS
-from priors.learn.adapt import AdaptConfig, adapt, training_views
-from priors.learn.measured import Measured
-from priors.learn.mono import loss, nearest_of_cells, silog
-from priors.learn.views import SKY, SURFACE, View, cut
+from priors.methods._reference import READS
 from priors.methods.mono import Mono
 from priors.nets import bts, weights
 from priors.types import Camera, Depth, Frame
@@ -263,7 +263,7 @@ def test_adapting_reads_no_held_out_frame_and_is_kept(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(READS, "lidar", ("sparse",))
-    known = "priors.known.Known.__call__"
+    known = "priors.methods._reference.Known.__call__"
     monkeypatch.setattr(known, lambda self, frame: frame.sparse().depth_m)
     drive, notes = Road(12, closed=(9,)), []
     method = Mono(weights=file, size="s", adapt="lidar", adapt_s=0.5, runtime="fp32").resolve(drive[0])

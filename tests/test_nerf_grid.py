@@ -14,8 +14,8 @@ from nerf.kernels import cpu
 from nerf.kernels.lanes import load_int
 from nerf.kernels.words import flat, words
 from nerf.twin import encode as twin
-from priors import threads
-from priors.compiled import compiled
+from priors.machine import threads
+from priors.machine.compiled import compiled
 
 CPU = torch.device("cpu")
 CONFIGS = {

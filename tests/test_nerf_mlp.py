@@ -17,7 +17,7 @@ from nerf.mlp import Network, NetworkConfig
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin
 from nerf.twin.field import LOGIT_MAX, Layers
-from priors import threads
+from priors.machine import threads
 
 INITIAL = 0.02
 SIZES = pytest.mark.parametrize(

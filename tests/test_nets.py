@@ -12,9 +12,9 @@ from priors.nets.blocks import Climb, Exact, Residual, both, channels_last, conv
 from priors.nets.cfnet import Cfnet, Range
 from priors.nets.fused import FusedExact, available, fuse, spread_over_planes
 from priors.nets.intake import take_in
-from priors.nets.join import join
 from priors.nets.outputs import StereoOut
 from priors.nets.pcwnet import Pcwnet
+from priors.nets.tensors import join
 from priors.nets.trunk import Trunk, pad
 from priors.nets.upsample import convex
 

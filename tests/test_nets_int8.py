@@ -7,14 +7,14 @@ import pytest
 import torch
 from torch import nn
 
-from priors import cpu
 from priors.errors import DataError
 from priors.kernels.quantise import quantise
+from priors.machine import cpu
 from priors.nets import int8, runtime, speeds, weights
-from priors.nets.bits import as_bits
 from priors.nets.blocks import Residual, conv, fold
 from priors.nets.fused import FusedResidual, fuse
 from priors.nets.int8 import IntegerConv, Range
+from priors.nets.tensors import as_bits
 
 KINDS = pytest.mark.parametrize("kind", [torch.float32, torch.bfloat16])
 

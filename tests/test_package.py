@@ -51,7 +51,7 @@ def test_nothing_needs_open3d() -> None:
 
 def test_depth_maps_need_no_torch() -> None:
     """What needs no network works without torch, and no method imports it before a network is asked for."""
-    import_all("open3d torch onnxruntime matplotlib", "priors eval", r"\.nets\.|_network$|\.learn\.")
+    import_all("open3d torch onnxruntime matplotlib", "priors eval", r"\.(nets|adapt|learn)\.|_(network|supervision)$")
 
 
 def test_help_imports_no_compiler() -> None:

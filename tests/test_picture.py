@@ -3,10 +3,18 @@
 import numpy as np
 import pytest
 
-from priors import colours, picture
-from priors.colours import ERROR_STEPS, GOOD_TO_BAD, MISSING, colour_confidence, colour_depth, colour_error, thicken
-from priors.picture import Tile
-from priors.plot import Line, plot, ticks
+from priors.draw import colours, panel
+from priors.draw.colours import (
+    ERROR_STEPS,
+    GOOD_TO_BAD,
+    MISSING,
+    colour_confidence,
+    colour_depth,
+    colour_error,
+    thicken,
+)
+from priors.draw.panel import Tile
+from priors.draw.plot import Line, plot, ticks
 from priors.types import Depth
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -86,19 +94,19 @@ def test_error_tile_shows_the_few_values_of_a_sparse_map():
     truth = np.full((20, 30), 10.0, np.float32)
     prediction = np.zeros_like(truth)
     prediction[10, 15] = 20
-    tile = picture.error_tile(Depth(prediction), Depth(truth))
+    tile = panel.error_tile(Depth(prediction), Depth(truth))
     assert (tile.picture[9:12, 14:17] == GOOD_TO_BAD[-1]).all()
     assert tile.picture[0, 0].tolist() == list(MISSING)
     assert "no value" in tile.caption
-    dense = picture.error_tile(Depth(truth), Depth(truth))
+    dense = panel.error_tile(Depth(truth), Depth(truth))
     assert (dense.picture == GOOD_TO_BAD[0]).all()
     assert "no value" not in dense.caption
 
 
 def test_confidence_tile_of_a_map_without_one_is_black():
     depth_m = np.full((4, 5), 9.0, np.float32)
-    assert not picture.confidence_tile(Depth(depth_m)).picture.any()
-    sure = picture.confidence_tile(Depth(depth_m, np.ones_like(depth_m))).picture
+    assert not panel.confidence_tile(Depth(depth_m)).picture.any()
+    sure = panel.confidence_tile(Depth(depth_m, np.ones_like(depth_m))).picture
     assert (sure == colours.CONFIDENCE_COLOURS[-1]).all()
 
 
@@ -106,36 +114,36 @@ def test_sparse_depth_and_confidence_are_thickened_alike():
     depth_m = np.zeros((9, 9), np.float32)
     depth_m[4, 4] = 9
     depth = Depth(depth_m, (depth_m > 0).astype(np.float32))
-    for tile in (picture.depth_tile(depth, "lidar"), picture.confidence_tile(depth)):
+    for tile in (panel.depth_tile(depth, "lidar"), panel.confidence_tile(depth)):
         assert tile.picture.any(axis=2).sum() == 9
 
 
 def test_panel_lays_tiles_out_and_scales_them():
     red, green = (np.zeros((10, 40, 3), np.uint8) for _ in range(2))
     red[...], green[...] = (200, 0, 0), (0, 200, 0)
-    made = picture.panel([Tile(red, "a", picture.depth_bar()), Tile(green, "b"), Tile(red[:5], "c")], 2, 200)
-    gap, strip = picture.GAP_PX, picture.STRIP_PX
+    made = panel.panel([Tile(red, "a", panel.depth_bar()), Tile(green, "b"), Tile(red[:5], "c")], 2, 200)
+    gap, strip = panel.GAP_PX, panel.STRIP_PX
     assert made.dtype == np.uint8
     assert made.shape == (3 * gap + 2 * strip + 50 + 25, 3 * gap + 400, 3)
     assert (made[gap + strip : gap + strip + 50, gap : gap + 200] == (200, 0, 0)).all()
     assert (made[gap + strip : gap + strip + 50, 2 * gap + 200 : 2 * gap + 400] == (0, 200, 0)).all()
-    assert (made[2 * gap + strip + 50 :, 2 * gap + 200 :] == picture.PAPER).all()  # no fourth tile
+    assert (made[2 * gap + strip + 50 :, 2 * gap + 200 :] == panel.PAPER).all()  # no fourth tile
 
 
 def test_captions_and_bars_are_drawn():
     blank = np.zeros((10, 300, 3), np.uint8)
-    drawn = picture.panel([Tile(blank, "stereo", picture.error_bar())], 1, 300)
-    strip = drawn[picture.GAP_PX : picture.GAP_PX + picture.STRIP_PX]
+    drawn = panel.panel([Tile(blank, "stereo", panel.error_bar())], 1, 300)
+    strip = drawn[panel.GAP_PX : panel.GAP_PX + panel.STRIP_PX]
     assert {tuple(colour) for colour in GOOD_TO_BAD.tolist()} <= {tuple(c) for c in strip.reshape(-1, 3).tolist()}
-    assert (strip[:, :80] != picture.PAPER).any()
-    assert (picture.panel([Tile(blank, "")], 1, 300)[:40, :80] == picture.PAPER).all()
+    assert (strip[:, :80] != panel.PAPER).any()
+    assert (panel.panel([Tile(blank, "")], 1, 300)[:40, :80] == panel.PAPER).all()
 
 
 def test_overlay_tints_inside_only():
     image = np.full((10, 10), 100, np.uint8)
     mask = np.zeros((10, 10), bool)
     mask[2:8, 2:8] = True
-    tinted = picture.overlay(image, mask, (0, 0, 255))
+    tinted = panel.overlay(image, mask, (0, 0, 255))
     assert (tinted[~mask] == 100).all()
     assert tinted[5, 5].tolist() == [55, 55, 169]
     assert tinted[2, 2].tolist() == [0, 0, 255]  # the outline
@@ -180,8 +188,8 @@ def test_plots_of_nothing_and_of_gaps_do_not_fail():
 
 def test_a_long_caption_ends_before_the_bar() -> None:
     """The bar's own pixels are the same whatever the caption says."""
-    tiles = [Tile(np.zeros((20, 60, 3), np.uint8), caption, picture.depth_bar()) for caption in ("", "long " * 60)]
-    plain, captioned = (picture.panel([tile], 1, 400) for tile in tiles)
+    tiles = [Tile(np.zeros((20, 60, 3), np.uint8), caption, panel.depth_bar()) for caption in ("", "long " * 60)]
+    plain, captioned = (panel.panel([tile], 1, 400) for tile in tiles)
     right = 400 - 400 // 3 - 50
     np.testing.assert_array_equal(plain[:, right:], captioned[:, right:])
     assert not np.array_equal(plain[:, :right], captioned[:, :right])

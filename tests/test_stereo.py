@@ -15,15 +15,16 @@ from hypothesis.extra.numpy import arrays
 from reference import stereo as reference
 
 from priors.codecs import FARTHEST_M
-from priors.diffusion import diffuse
 from priors.drives import DriveOptions, open_drive
+from priors.drives._rigs import KITTI
 from priors.errors import DataError
 from priors.kernels.diffusion import diffuse_columns, link_columns
 from priors.kernels.occlusion import fill_occlusions
-from priors.matching import find_max_disparity, halve, match, quick_match, unlock
 from priors.methods.stereo import Stereo
-from priors.offset import NONE, Offset, fit_points, gather, usual_offset
-from priors.types import Camera, Depth, FloatMap, Frame, Sweep
+from priors.pairs.matching import find_max_disparity, halve, match, quick_match, unlock
+from priors.pairs.offset import NONE, Offset, fit_points, gather, usual_offset
+from priors.pairs.smoothing import diffuse
+from priors.types import Camera, Depth, FloatMap, Frame, Rig, Sweep
 
 FX, BASELINE_M = 500.0, 0.5
 ZERO = (0.0, 0.0, 0.0, 0.0)
@@ -209,10 +210,10 @@ def test_bad_input_is_named() -> None:
 def test_resolve_without_lidar_is_what_the_rig_usually_has() -> None:
     left, right, _ = scene()
     assert Stereo().resolve(frame(left, right)) == Stereo(offset_px=ZERO, scale=1.0)
-    made = frame(left, right, rig="kitti")
-    kitti, usual = Stereo().resolve(made), usual_offset("kitti", made.camera)
+    made = frame(left, right, rig=KITTI)
+    kitti, usual = Stereo().resolve(made), usual_offset(KITTI, made.camera)
     assert (kitti.offset_px, kitti.scale) == (usual.field_px, usual.scale) != (ZERO, 1.0)
-    given = Stereo(offset_px=(1, 2, 3)).resolve(frame(left, right, rig="kitti"))
+    given = Stereo(offset_px=(1, 2, 3)).resolve(frame(left, right, rig=KITTI))
     assert (given.offset_px, given.scale) == ((1, 2, 3, 0), 1.0)
     with pytest.raises(DataError, match="5 numbers, expected at most a b c e"):
         Stereo(offset_px=(1, 2, 3, 4, 5))
@@ -265,14 +266,14 @@ def road_and_walls() -> tuple[Camera, FloatMap, FloatMap]:
 def test_the_usual_offset_is_of_the_images_size() -> None:
     """An image of a third of the size has a third of the offset, at the same place of the scene."""
     whole, third = (Camera(np.diag([size, size, 1.0]), (4, 4)) for size in (720.0, 240.0))
-    expected = np.array(usual_offset("kitti", whole).field_px) / 3
-    assert usual_offset("kitti", third).field_px == pytest.approx(expected, abs=1e-3)
-    assert usual_offset("kitti", third).scale == usual_offset("kitti", whole).scale != 1
-    assert usual_offset(None, whole) == usual_offset("another", whole) == NONE
+    expected = np.array(usual_offset(KITTI, whole).field_px) / 3
+    assert usual_offset(KITTI, third).field_px == pytest.approx(expected, abs=1e-3)
+    assert usual_offset(KITTI, third).scale == usual_offset(KITTI, whole).scale != 1
+    assert usual_offset(None, whole) == NONE
 
 
-@pytest.mark.parametrize("rig", [None, "kitti"])
-def test_offset_has_a_curve_and_a_scale(rig: str | None) -> None:
+@pytest.mark.parametrize("rig", [None, KITTI])
+def test_offset_has_a_curve_and_a_scale(rig: Rig | None) -> None:
     rng = np.random.default_rng(0)
     camera, matched_px, slope = road_and_walls()
     usual = usual_offset(rig, camera)

@@ -14,8 +14,8 @@ import torch
 from threadpoolctl import threadpool_info
 
 from cli.arguments import ThreadArguments
-from priors import threads
 from priors.errors import DataError
+from priors.machine import threads
 
 ROOT = Path(__file__).resolve().parents[1]
 COUNTS = (1, 2, 5)
@@ -93,7 +93,7 @@ def test_what_is_small_is_one_task_and_what_is_large_many() -> None:
 def test_a_forked_process_has_a_pool_of_its_own() -> None:
     code = """
 import os
-from priors import threads
+from priors.machine import threads
 done = []
 with threads.limited(3):
     threads.run(100, done.append)
@@ -139,7 +139,7 @@ def test_limited_wants_one_or_more(wrong: int) -> None:
 
 def test_a_library_that_loads_later_is_held_too() -> None:
     code = """
-from priors import threads
+from priors.machine import threads
 with threads.limited(1):
     import torch
     inside = torch.get_num_threads()

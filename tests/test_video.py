@@ -13,12 +13,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from priors import geometry
+from priors.adapt.clips import FARTHEST_M, NEAREST_M, Clip, Source, crops, neighbours, pair_up
+from priors.adapt.depth_hints import STEP, hint
+from priors.adapt.photometric import dissimilarity, look_up, mismatch, photometric
+from priors.adapt.video_supervision import Video
+from priors.adapt.views import SKY, SURFACE, View
 from priors.errors import DataError
-from priors.learn.clips import FARTHEST_M, NEAREST_M, Clip, Source, crops, neighbours, pair_up
-from priors.learn.hints import STEP, hint
-from priors.learn.photometric import dissimilarity, look_up, mismatch, photometric
-from priors.learn.video import Video
-from priors.learn.views import SKY, SURFACE, View
 from priors.methods.mono import Mono
 from priors.nets import bts, weights
 from priors.nets.bts import MonoOut

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerf.kernels.lanes import floats, fma, load_floats, root, round_bfloat, store, store_halves
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 Numbers = npt.NDArray[np.float32]
 

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from nerf.kernels.limits import LEAST, NO_TARGET, REACH, SOFT
-from priors.compiled import FAST, compiled
+from priors.machine.compiled import FAST, compiled
 
 
 @compiled(fastmath=FAST)

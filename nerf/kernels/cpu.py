@@ -13,7 +13,7 @@ from torch import Tensor
 from nerf.kernels.words import flat, words
 from nerf.twin.adam import BETA_MEAN, BETA_SQUARE, EPSILON
 from nerf.twin.field import Layers
-from priors import threads
+from priors.machine import threads
 
 if TYPE_CHECKING:
     from nerf.grid import GridConfig

@@ -27,8 +27,8 @@ from nerf.kernels.lanes import (
     store,
     store_pairs,
 )
-from priors.compiled import compiled
-from priors.cpu import mode
+from priors.machine.compiled import compiled
+from priors.machine.cpu import mode
 
 PAIRED = mode() == "avx512_bf16"
 """Whether this mode has a product of pairs of bfloat16."""

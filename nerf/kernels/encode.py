@@ -26,7 +26,7 @@ from nerf.kernels.lanes import (
     to_floats,
     truncate,
 )
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 Words = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.float32]

@@ -16,7 +16,7 @@ from numba.core.errors import TypingError
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 WIDTH = 16
 TILE = WIDTH * WIDTH

@@ -6,7 +6,7 @@ a float32, since Python's own numbers would make a double of everything they tou
 
 import numpy as np
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 BOX, BALL, SPHERES = 0, 1, 2
 ZERO, HALF, ONE, TWO, QUARTER = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(0.25)

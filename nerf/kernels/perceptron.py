@@ -26,7 +26,7 @@ from nerf.kernels.lanes import (
     where_nonzero,
 )
 from nerf.kernels.products import OPERAND, TILE, begin, end, pack, product, product_added, store_operand
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 Words = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.float32]

@@ -2,7 +2,7 @@
 
 from nerf.kernels import lanes
 from nerf.kernels.lanes import TILE
-from priors.cpu import mode
+from priors.machine.cpu import mode
 
 if mode() in ("amx", "amx_emulated"):
     from nerf.kernels.tiles import OPERAND, begin, end, product, product_added, store_operand

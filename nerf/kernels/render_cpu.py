@@ -8,7 +8,7 @@ from torch import Tensor
 from nerf.kernels import composite
 from nerf.render import OPACITY_FLOOR, Gradients, Rendered
 from nerf.samples import Samples
-from priors import threads
+from priors.machine import threads
 
 
 def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 
 @compiled(error_model="numpy")

@@ -9,8 +9,8 @@ import numpy as np
 
 from nerf.kernels.lanes import TILE, floats, fma, high_float, ints, load_floats, load_int, load_ints, low_float, store
 from nerf.kernels.x86 import configuration, configure, release, tile_load, tile_product, tile_store, tile_zero
-from priors.compiled import compiled
-from priors.cpu import mode
+from priors.machine.compiled import compiled
+from priors.machine.cpu import mode
 
 OPERAND: type[np.int32] | type[np.float32] = np.int32
 EMULATED = mode() == "amx_emulated"

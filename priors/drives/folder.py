@@ -4,8 +4,8 @@
 
 calib.json: {"fx": 721.5, "fy": 721.5, "cx": 609.6, "cy": 172.9, "baseline_m": 0.54}, in pixels and metres; both cameras
 share it; "baseline_m" is needed where there is right/; "width" and "height" are checked where they are given.
-The pair must be rectified and undistorted. "rig": "kitti" says that KITTI's car took it: stereo then corrects what its
-pairs are usually off by (priors/offset.py).
+The pair must be rectified and undistorted. "rig": "kitti" says that KITTI's car took it: stereo then corrects the
+usual error of their rectification (priors/pairs/offset.py).
 
 - Files are joined by their stem, the frame id.
 - depth/ is truth, sparse/ is completion's input: uint16 PNG (metres x 256), .npy, .npz or .pfm in metres, 0 = none.
@@ -35,8 +35,9 @@ from priors.drives._files import (
     read_text,
     stems,
 )
+from priors.drives._rigs import RIGS
 from priors.errors import DataError
-from priors.types import Camera, Depth, Frame, Matrix
+from priors.types import Camera, Depth, Frame, Matrix, Rig
 
 PARTNER = {"left": "right", "right": "left"}
 MAP_SUFFIXES = (".png", ".npy", ".npz", ".pfm")
@@ -117,7 +118,7 @@ class Folder:
             side="left" if self.camera_name == "left" else "right",
         )
 
-    def _read_calibration(self) -> tuple[Camera, float | None, str | None]:
+    def _read_calibration(self) -> tuple[Camera, float | None, Rig | None]:
         path = self.folder / "calib.json"
         data = read_json(path)
         fx, fy, cx, cy = (_number(data, key, path) for key in ("fx", "fy", "cx", "cy"))
@@ -165,16 +166,14 @@ class Folder:
         return Depth(check_size(codecs.read_float_map(path), path, self._camera))
 
 
-def _known_rig(rig: Any, path: Path) -> str | None:
+def _known_rig(rig: Any, path: Path) -> Rig | None:
     """Return the calibration's rig; raises DataError where it is not a known one."""
     if rig is None:
         return None
-    from priors.offset import USUAL
-
-    for known in USUAL:
-        if rig == known:
+    for name, known in RIGS.items():
+        if rig == name:
             return known
-    raise DataError(f"{path}: rig {rig!r} is not known: leave it out, or choose one of {', '.join(USUAL)}")
+    raise DataError(f"{path}: rig {rig!r} is not known: leave it out, or choose one of {', '.join(RIGS)}")
 
 
 def _number(data: dict[str, Any], key: str, path: Path) -> float:

@@ -38,6 +38,7 @@ from priors.drives._files import (
     stems,
     subfolders,
 )
+from priors.drives._rigs import KITTI
 from priors.drives.kitti_raw import read_sweep_file
 from priors.errors import DataError
 from priors.geometry import invert
@@ -152,7 +153,7 @@ class KittiOdometry:
             T_cam_lidar=None if self._T_cam0_velo is None else self._T_cam_cam0 @ self._T_cam0_velo,
             time_s=self._times.get(id_),
             baseline_m=self.baseline_m,
-            rig="kitti" if self._is_kittis() else None,
+            rig=KITTI if self._is_kittis() else None,
             side=self.side,
         )
 

@@ -42,6 +42,7 @@ from priors.drives._files import (
     stems,
 )
 from priors.drives._oxts import Track
+from priors.drives._rigs import KITTI
 from priors.errors import DataError
 from priors.geometry import invert
 from priors.types import Camera, Depth, Frame, Matrix, Sweep
@@ -154,7 +155,7 @@ class KittiRaw:
             T_cam_lidar=self._T_cam_velo,
             time_s=self._times.get(int(id_)),
             baseline_m=self.baseline_m,
-            rig="kitti" if self.folder.name.startswith(DATES) else None,
+            rig=KITTI if self.folder.name.startswith(DATES) else None,
             side=self.side,
         )
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from priors.compiled import compiled
 from priors.kernels.floats import Bits, narrow, widen
+from priors.machine.compiled import compiled
 
 
 @compiled(fastmath=True)

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
+from priors.machine.compiled import compiled
 from priors.types import FloatMap
 
 LARGEST_LOGIT = np.float32(40)

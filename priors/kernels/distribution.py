@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
-from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
+from priors.machine.compiled import compiled
 from priors.types import FloatMap
 
 STRETCH = 1024

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 from priors.types import FloatMap
 
 Bits = npt.NDArray[np.unsignedinteger[Any]]

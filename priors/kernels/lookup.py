@@ -6,7 +6,7 @@ independent, so threads share nothing. Without gradients, kernels/volume.py does
 
 import numpy as np
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 from priors.types import FloatMap
 
 

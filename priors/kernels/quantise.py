@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
 from priors.kernels.floats import Bits
+from priors.machine.compiled import compiled
 
 ITEM_NS = 0.5
 

@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from priors import threads
-from priors.compiled import compiled
+from priors.machine import threads
+from priors.machine.compiled import compiled
 from priors.types import FloatMap, Image, Mask
 
 Floats = npt.NDArray[np.float32]

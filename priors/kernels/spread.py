@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 LANES = 16
 NEAR = np.float32(0.05)  # cost below which cheaper is not heavier

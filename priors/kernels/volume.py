@@ -8,8 +8,8 @@ loops are short and straight, so that they become vectors.
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
 from priors.kernels.floats import Bits, narrow, widen
+from priors.machine.compiled import compiled
 from priors.types import FloatMap
 
 CHUNK = 2048

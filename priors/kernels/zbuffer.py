@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
 from priors.kernels.untwist import move_point
+from priors.machine.compiled import compiled
 
 
 @compiled

@@ -7,16 +7,16 @@ truth) and of a real drive (points that it is not shown are the truth), through 
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import cv2
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from priors.colours import colour_depth, colour_error, thicken
+from priors.adapt.augment import augment
+from priors.adapt.batch import Batch
+from priors.draw.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
 from priors.learn import scans
 from priors.learn.accumulated import Drive
-from priors.learn.loop import Batch
 from priors.learn.scans import Scene, Shown, Streets
 from priors.methods.completion import EVERYWHERE_PX, complete
 from priors.nets.mffnet import Completed, Mffnet
@@ -71,7 +71,7 @@ class CompletionTask:
         while len(crops) < self.config.batch:
             shown = scans.show(self._draw(rng), rng)
             if np.any(shown.sparse_m > 0) and np.any(shown.weight > 0):
-                crops.append(prepare(shown, vary(shown.scene.image, rng), rng.random() < 0.7))
+                crops.append(prepare(shown, augment(shown.scene.image, rng), rng.random() < 0.7))
         return {name: torch.cat([crop[name] for crop in crops]) for name in crops[0]}
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
@@ -172,20 +172,6 @@ def prepare(shown: Shown, image: Image, knows_scanner: bool) -> Batch:
     }
     batch = {name: torch.from_numpy(np.ascontiguousarray(values))[None] for name, values in maps.items()}
     return {"image": torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255, **batch}
-
-
-def vary(image: Image, rng: np.random.Generator) -> Image:
-    """Change exposure, contrast, colour, sharpness and noise as cameras do."""
-    values = image.astype(np.float32) / 255
-    if rng.random() < 0.15:
-        values[:] = values.mean(axis=2, keepdims=True)
-    gain = (rng.uniform(0.6, 1.5) * (1 + rng.normal(0, 0.06, 3))).astype(np.float32)
-    gamma, contrast = np.float32(rng.uniform(0.75, 1.3)), np.float32(rng.uniform(0.8, 1.25))
-    values = ((np.clip(values * gain, 0, 1) ** gamma - 0.4) * contrast + 0.4).astype(np.float32)
-    if rng.random() < 0.3:
-        values[:] = cv2.GaussianBlur(values, (0, 0), rng.uniform(0.4, 1.1))
-    values += rng.normal(0, rng.uniform(0, 0.025), (*values.shape[:2], 1)).astype(np.float32)
-    return (np.clip(values, 0, 1) * 255).astype(np.uint8)
 
 
 def draw(shown: Shown, fill_m: FloatMap, depth_m: FloatMap) -> Image:

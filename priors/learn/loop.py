@@ -27,13 +27,13 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
 from priors import codecs
+from priors.adapt.batch import Batch
 from priors.errors import DataError
 from priors.learn.config import TrainConfig
 from priors.nets import weights
 from priors.nets.blocks import channels_last
 from priors.types import Image
 
-Batch = dict[str, Tensor]
 AHEAD = 3
 """Batches made in advance by the background thread."""
 NORM_BATCHES = 40

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors import geometry
-from priors.colours import as_rgb
+from priors.codecs import as_rgb
 from priors.learn import sample as samples
 from priors.types import Camera, FloatMap, Image, Mask
 

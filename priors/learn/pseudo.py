@@ -16,11 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from priors import codecs
-from priors.diffusion import diffuse
 from priors.drives.kitti_odometry import KittiOdometry
 from priors.errors import DataError
 from priors.learn.pair import Pair
-from priors.matching import match, to_grey
+from priors.pairs.matching import match, to_grey
+from priors.pairs.smoothing import diffuse
 from priors.sky import sky_mask
 from priors.types import FloatMap, Image, Mask
 

@@ -14,10 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.codecs import read_image
-from priors.diffusion import diffuse
 from priors.drives.kitti_raw import KittiRaw
 from priors.learn import pseudo
 from priors.learn.warp import Scene, fill_nearest, sharpen, write
+from priors.pairs.smoothing import diffuse
 from priors.sky import sky_mask
 from priors.types import FloatMap, Image, Mask
 

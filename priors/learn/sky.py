@@ -17,7 +17,7 @@ import numpy.typing as npt
 import tyro
 
 from priors import sky
-from priors.colours import as_rgb
+from priors.codecs import as_rgb
 from priors.kernels.sky import shrink
 from priors.learn.sky_labels import SKY, UNKNOWN, Sample, read_camvid, read_kitti, read_street
 from priors.types import FloatMap, Image

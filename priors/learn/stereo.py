@@ -15,11 +15,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.colours import colour_depth
+from priors.adapt.batch import Batch
+from priors.adapt.objective import masked_mean
+from priors.draw.colours import colour_depth
 from priors.learn.data import collate
-from priors.learn.loop import Batch
 from priors.learn.pair import Item
-from priors.learn.weighing import mean
 from priors.nets.outputs import Matched, StereoOut
 from priors.types import Image
 
@@ -62,19 +62,19 @@ class StereoTask:
         truth, weight = batch["disparity_px"], batch["weight"] * batch["known"]
         weight = weight * (truth < LARGEST_PX) * (1 - (1 - SKY_WEIGHT) * batch["sky"])
         error = (out.disparity_px - truth).abs()
-        total = mean(soft(error), weight) if stages == 3 else error.new_zeros(())
+        total = masked_mean(soft(error), weight) if stages == 3 else error.new_zeros(())
         spread = total.new_zeros(())
         for stage, share in zip(out.stages, STAGE_WEIGHTS, strict=False):
             step = truth.shape[-1] // stage.disparity_px.shape[-1]
             target, sure = (values[:, step // 2 :: step, step // 2 :: step] for values in (truth, weight))
-            total = total + share * mean(soft(step * stage.disparity_px - target), sure)
+            total = total + share * masked_mean(soft(step * stage.disparity_px - target), sure)
             spread = spread + cross_entropy(stage, target / step, sure)
         total = total + SPREAD_WEIGHT * spread
-        terms = {"epe": mean(error, weight).detach(), "spread": spread.detach()}
+        terms = {"epe": masked_mean(error, weight).detach(), "spread": spread.detach()}
         if stages < 3:
             return total, terms
         doubt = F.binary_cross_entropy_with_logits(out.doubt, (error.detach() > 1).float(), reduction="none")
-        return total + DOUBT_WEIGHT * mean(doubt, weight), terms
+        return total + DOUBT_WEIGHT * masked_mean(doubt, weight), terms
 
     def validate(self, net: nn.Module) -> dict[str, float]:
         """Return EPE, D1 and the share above 1 px by source, without sky; "error" is the mean EPE, each at most 5."""
@@ -139,4 +139,4 @@ def cross_entropy(stage: Matched, target_px: Tensor, weight: Tensor) -> Tensor:
     planes = torch.arange(position.shape[-1], device=position.device)
     share = (1 - (planes - place[..., None]).abs()).clamp(min=0)
     surprise = -(share * stage.logits.float().log_softmax(-1)).sum(-1)
-    return mean(surprise, weight * inside)
+    return masked_mean(surprise, weight * inside)

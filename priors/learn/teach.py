@@ -18,7 +18,7 @@ import tyro
 from torch import nn
 
 from priors import codecs
-from priors.colours import as_rgb
+from priors.codecs import as_rgb
 from priors.errors import DataError
 from priors.learn.pseudo import View, read_views, sequences
 from priors.types import FloatMap, Image

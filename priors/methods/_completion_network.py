@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from priors.colours import as_rgb
+from priors.codecs import as_rgb
 from priors.nets import runtime
 from priors.nets.graphs import Portable, open_portable
 from priors.nets.runtime import Ready, Runtime

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import torch
 
+from priors.adapt.finetune import AdaptConfig, adapt
 from priors.errors import DataError
 from priors.keys import key_of
-from priors.learn.adapt import AdaptConfig, adapt
-from priors.learn.lessons import Lesson
+from priors.methods._mono_supervision import Lesson
 from priors.nets import runtime, weights
 from priors.nets.graphs import Portable, open_portable
 from priors.nets.runtime import Ready, Runtime

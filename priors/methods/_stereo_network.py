@@ -10,10 +10,10 @@ import cv2
 import numpy as np
 from torch import Tensor
 
-from priors.matching import to_grey
 from priors.nets import runtime, weights
 from priors.nets.confidence import Calibration
 from priors.nets.export import Graph, Graphs
+from priors.pairs.matching import to_grey
 from priors.types import FloatMap, Image
 
 Run = Callable[[Tensor, Tensor, int], tuple[FloatMap, FloatMap, FloatMap]]

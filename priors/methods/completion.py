@@ -22,8 +22,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors import threads
 from priors.errors import DataError
+from priors.machine import threads
 from priors.methods.lidar import Lidar
 from priors.sky import doubt, sky_mask
 from priors.types import Camera, Depth, FloatMap, Frame, Image, Mask, Matrix

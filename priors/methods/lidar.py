@@ -14,9 +14,9 @@ from typing import ClassVar, Self
 import cv2
 import numpy as np
 
-from priors import threads
 from priors.errors import DataError
 from priors.geometry import invert
+from priors.machine import threads
 from priors.types import Depth, FloatMap, Frame, Mask, Matrix, Sweep
 
 LINE_GAP_RAD = 0.0074  # between two scan lines of an HDL-64: 0.42 degrees
@@ -178,7 +178,7 @@ def stereo_denies(frame: Frame, depth_m: FloatMap) -> Mask:
     A value may agree with any of the 3x3 disparities around it: at an outline the match is not sharper than that.
     """
     from priors.kernels.visibility import deny
-    from priors.matching import quick_match
+    from priors.pairs.matching import quick_match
 
     if frame.baseline_m is None:
         return np.zeros(depth_m.shape, dtype=bool)

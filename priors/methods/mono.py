@@ -7,14 +7,15 @@ from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 
-from priors import align, threads
-from priors.align import Alignment
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
+from priors.machine import threads
+from priors.methods import _mono_align
+from priors.methods._mono_align import Alignment
 from priors.types import Camera, Depth, Drive, FloatMap, Frame, Image
 
 if TYPE_CHECKING:
-    from priors.known import Known
+    from priors.methods._reference import Known
     from priors.nets.runtime import Floating
 
 TOLERANCE_M = 1.0
@@ -76,7 +77,7 @@ class Mono:
     @property
     def reads(self) -> tuple[str, ...]:
         """Return what a frame must have."""
-        from priors.known import READS
+        from priors.methods._reference import READS
 
         per_frame = self.align != "none" and self.align_per == "frame"
         return ("image", *(READS.get(self.align_to, ()) if per_frame else ()))
@@ -127,8 +128,8 @@ class Mono:
         """
         if self.adapt == "none" and (self.align == "none" or self.align_per == "frame"):
             return self
+        from priors.adapt.finetune import MOST_VIEWS, thin, training_views
         from priors.build import select
-        from priors.learn.adapt import MOST_VIEWS, thin, training_views
 
         chosen = select(drive.ids, self.frames)
         indices = training_views(len(drive), chosen, self.hold_out)
@@ -171,7 +172,7 @@ class Mono:
 
     @staticmethod
     def _known(source: str, frame: Frame) -> "Known":
-        from priors.known import Known
+        from priors.methods._reference import Known
 
         return Known.choose(source, frame)
 
@@ -187,9 +188,9 @@ class Mono:
         return lambda image, camera: estimate(ready, image, camera)
 
     def _adapted(self, drive: Drive, indices: list[int], folder: Path, on_note: Callable[[str], None]) -> Predict:
-        from priors.learn.adapt import AdaptConfig
-        from priors.learn.lessons import by_depth, by_video
+        from priors.adapt.finetune import AdaptConfig
         from priors.methods._mono_network import adapted_weights
+        from priors.methods._mono_supervision import by_depth, by_video
         from priors.nets import weights
 
         start = weights.find("bts", self.size, self.weights)
@@ -207,7 +208,7 @@ class Mono:
         values = [self._in_space(values)[t] for (values, _), t in zip(samples, there, strict=True)]
         known_m = [known_m[t] for (_, known_m), t in zip(samples, there, strict=True)]
         try:
-            return align.fit(np.concatenate(values), np.concatenate(known_m), self.align, self.align_in)
+            return _mono_align.fit(np.concatenate(values), np.concatenate(known_m), self.align, self.align_in)
         except DataError as error:
             raise DataError(f"{what}: {error}") from error
 

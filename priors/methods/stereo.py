@@ -7,13 +7,13 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
-from priors import threads
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
-from priors.matching import largest_disparity, match, quarter_match
+from priors.machine import threads
 from priors.methods import _stereo_classical as classical
-from priors.methods._stereo_pair import baseline, calibrate, find_range, read_pair, unmirror
-from priors.offset import NONE, Offset
+from priors.pairs.matching import largest_disparity, match, quarter_match
+from priors.pairs.offset import NONE, Offset
+from priors.pairs.read import baseline, calibrate, find_range, read_pair, unmirror
 from priors.sky import doubt, rows_below, sky_mask
 from priors.types import Depth, Drive, FloatMap, Frame, Image
 

@@ -19,8 +19,8 @@ from torch import Tensor, nn
 
 from priors.errors import DataError
 from priors.nets.blocks import Exact, conv
-from priors.nets.join import join
 from priors.nets.mobile import Mobile
+from priors.nets.tensors import join
 from priors.nets.trunk import SIZES, Trunk, normalise, pad
 
 FOCAL_PX = 721.5377

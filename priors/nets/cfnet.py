@@ -15,12 +15,11 @@ from torch import Tensor, nn
 
 from priors.nets.blocks import Climb, Residual, both, conv, conv3d
 from priors.nets.coarse import WIDTHS, Coarse
-from priors.nets.dispatch import is_traced
 from priors.nets.intake import take_in
-from priors.nets.join import join
 from priors.nets.matching import expect, lookup, lookup_beside
 from priors.nets.outputs import Matched, StereoOut, finer
 from priors.nets.planes import weigh
+from priors.nets.tensors import is_traced, join
 from priors.nets.trunk import SIZES, Trunk
 
 QUARTER_PLANES, HALF_PLANES = 8, 6

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors import threads
+from priors.machine import threads
 from priors.types import FloatMap
 
 SMALLEST_PX = 0.02

@@ -12,10 +12,10 @@ from typing import Any, TypeGuard, TypeVar
 import torch
 from torch import Tensor, nn
 
-from priors import threads
-from priors.nets.bits import as_bits
+from priors.machine import threads
 from priors.nets.blocks import Climb, Exact, Residual
 from priors.nets.int8 import IntegerConv, Range
+from priors.nets.tensors import as_bits
 
 Net = TypeVar("Net", bound=nn.Module)
 AFTER: dict[type[nn.Module], Callable[[Any], tuple[str, list[float]]]] = {

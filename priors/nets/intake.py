@@ -6,9 +6,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from priors import threads
-from priors.nets.bits import as_bits
-from priors.nets.dispatch import without_gradient
+from priors.machine import threads
+from priors.nets.tensors import as_bits, without_gradient
 from priors.nets.trunk import MULTIPLE, normalise, pad
 
 

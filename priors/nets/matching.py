@@ -7,12 +7,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from priors import threads
+from priors.machine import threads
 from priors.nets import planar, volume
-from priors.nets.bits import as_bits, rows_of_bits
 from priors.nets.blocks import side_by_side
-from priors.nets.dispatch import is_traced, on_cpu, without_gradient
 from priors.nets.planes import Planes
+from priors.nets.tensors import as_bits, is_traced, on_cpu, rows_of_bits, without_gradient
 
 
 def unit(features: Tensor, groups: int) -> Tensor:

@@ -14,12 +14,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors import threads
 from priors.errors import DataError
-from priors.nets.bits import as_bits
+from priors.machine import threads
 from priors.nets.blocks import Residual, conv
-from priors.nets.dispatch import without_gradient
-from priors.nets.join import join
+from priors.nets.tensors import as_bits, join, without_gradient
 from priors.nets.trunk import normalise, pad
 
 SIZES: dict[str, tuple[int, ...]] = {"s": (16, 32, 48, 64, 96), "m": (16, 48, 64, 96, 128)}

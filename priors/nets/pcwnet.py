@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from priors.nets.blocks import Residual, conv
 from priors.nets.coarse import WIDTHS, Coarse
 from priors.nets.intake import take_in
-from priors.nets.join import join
 from priors.nets.matching import lookup_beside, unit
 from priors.nets.outputs import Matched, StereoOut, finer
+from priors.nets.tensors import join
 from priors.nets.trunk import SIZES, Trunk
 from priors.nets.volume import shift
 

@@ -6,10 +6,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from priors import threads
+from priors.machine import threads
 from priors.nets import planar
-from priors.nets.bits import as_bits
-from priors.nets.dispatch import is_traced, without_gradient
+from priors.nets.tensors import as_bits, is_traced, without_gradient
 
 LARGEST = 30.0
 

@@ -17,11 +17,11 @@ from eval.protocol import preset
 from eval.result import Result, score
 from eval.table import show
 from priors.codecs import write_image
+from priors.draw.plot import Line, plot
 from priors.drives import open_drive
 from priors.errors import DataError
 from priors.geometry import invert, rays, transform
 from priors.methods.completion import Completion, complete
-from priors.plot import Line, plot
 from priors.types import Depth, Frame
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"

@@ -3,7 +3,7 @@
     python tests/bench/bench_rig.py                                     # needs ../shared/data
     python tests/bench/bench_rig.py --teacher maps/                     # and disparities of kitti_odometry pairs, .npy
 
-Each line is scale * d + a + b X + c X^2 + e X Y (priors/offset.py), fitted to all frames, and how far it moves when the
+Each line is scale * d + a + b X + c X^2 + e X Y (priors/pairs/offset.py), fitted to all frames, and how far it moves if
 frames are drawn anew. Ego-motion: corners are tracked into the next image, and the drive's poses say how far away they
 are. The teacher's maps are those that `python -m priors.learn.teach` makes with a network fine-tuned on KITTI's truth.
 """
@@ -20,9 +20,9 @@ from priors import drives
 from priors.drives import DriveOptions
 from priors.geometry import invert
 from priors.learn.pseudo import find
-from priors.matching import match, to_grey
-from priors.methods._stereo_pair import read_pair
-from priors.offset import Offset, Points, compare, fit_points, gather, slope
+from priors.pairs.matching import match, to_grey
+from priors.pairs.offset import Offset, Points, compare, fit_points, gather, slope
+from priors.pairs.read import read_pair
 from priors.types import Drive, FloatMap, Frame
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data"

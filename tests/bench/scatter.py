@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from priors.picture import FAINT, INK, PAPER, text_width, write
-from priors.plot import GRID, PALETTE, ticks
+from priors.draw.panel import FAINT, INK, PAPER, text_width, write
+from priors.draw.plot import GRID, PALETTE, ticks
 from priors.types import Image
 
 LEFT, RIGHT, TOP, BOTTOM = 70, 30, 44, 52

@@ -11,9 +11,9 @@ import cv2
 import numpy as np
 
 from priors.geometry import convert_disparity
-from priors.matching import halve, to_grey
 from priors.methods.stereo import Stereo
-from priors.offset import NONE, Offset, usual_offset
+from priors.pairs.matching import halve, to_grey
+from priors.pairs.offset import NONE, Offset, usual_offset
 from priors.types import Depth, Frame
 
 MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)

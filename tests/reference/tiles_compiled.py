@@ -10,7 +10,7 @@ os.environ |= {"NUMBA_CPU_NAME": "sapphirerapids", "NUMBA_CPU_FEATURES": "+amx-t
 import numpy as np
 from numba import typeof
 
-from priors import cpu
+from priors.machine import cpu
 
 cpu.mode = lambda: "amx"  # what follows asks it as it is imported
 

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from priors.colours import (
+from priors.codecs import as_rgb
+from priors.draw.colours import (
     CONFIDENCE_COLOURS,
     DEPTH_COLOURS,
     ERROR_STEPS,
@@ -18,7 +19,6 @@ from priors.colours import (
     NEAREST_M,
     Colour,
     Table,
-    as_rgb,
     colour_confidence,
     colour_depth,
     colour_error,

@@ -13,14 +13,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors import geometry
+from priors.adapt.batch import Batch
+from priors.adapt.clips import Clip, Source, crops
+from priors.adapt.depth_hints import hint
+from priors.adapt.objective import edge_loss, masked_mean, predict
+from priors.adapt.photometric import photometric, roughness
+from priors.adapt.views import SKY, SURFACE, UNKNOWN, ZOOM, View, crop_size
 from priors.errors import DataError
-from priors.learn.clips import Clip, Source, crops
-from priors.learn.hints import hint
-from priors.learn.loop import Batch
-from priors.learn.mono import predict, steps
-from priors.learn.photometric import photometric, roughness
-from priors.learn.views import SKY, SURFACE, UNKNOWN, ZOOM, View, crop_size
-from priors.learn.weighing import mean
 from priors.nets.bts import MonoOut
 from priors.types import Drive, Frame
 
@@ -57,11 +56,11 @@ class Video:
         near = surface & ~F.interpolate(found.elsewhere[:, None].float(), surface.shape[1:])[:, 0].bool()
         wrong = torch.stack([photometric(inverse, near, batch, stride, first) for stride in strides]).mean()
         change = out.depth_m.log() - batch["depth_m"].log()
-        relief = sum((steps(change, surface, stride) for stride in (1, 2, 4, 8)), change.new_zeros(()))
+        relief = sum((edge_loss(change, surface, stride) for stride in (1, 2, 4, 8)), change.new_zeros(()))
         rough = roughness(inverse, batch["target"], surface)
         is_sky = (batch["sky"] == SKY).float()
-        sky = mean(F.binary_cross_entropy_with_logits(out.sky_logit, is_sky, reduction="none"), known)
-        scale = mean((out.log_scale - batch["log_scale"]).abs(), surface)
+        sky = masked_mean(F.binary_cross_entropy_with_logits(out.sky_logit, is_sky, reduction="none"), known)
+        scale = masked_mean((out.log_scale - batch["log_scale"]).abs(), surface)
         scene = ERROR * wrong + HINT * found.error() + RELIEF * relief + ROUGH * rough
         return scene + 0.5 * sky + 0.1 * scale, wrong.detach()
 

@@ -4,9 +4,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors import matching
-from priors.geometry import convert_disparity, project, transform
-from priors.sweep import untwist
+from priors.geometry import convert_disparity, project, transform, untwist
+from priors.pairs import matching
 from priors.types import Frame, Image
 
 WIDEST_PX = 1600  # wider images are halved: Argoverse's pair is then as fine as KITTI's

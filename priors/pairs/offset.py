@@ -7,11 +7,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors.diffusion import diffuse
-from priors.geometry import convert_disparity, project, scatter_nearest, transform
-from priors.matching import to_grey
-from priors.sweep import untwist
-from priors.types import Camera, FloatMap, Image, Matrix, Sweep
+from priors.geometry import convert_disparity, project, scatter_nearest, transform, untwist
+from priors.pairs.matching import to_grey
+from priors.pairs.smoothing import diffuse
+from priors.types import Camera, FloatMap, Image, Matrix, Rig, Sweep
 
 Points = npt.NDArray[np.float64]
 
@@ -59,18 +58,15 @@ class Offset:
 
 
 NONE = Offset()
-USUAL = {"kitti": (Offset((0.5, 0.0, 1.1, -0.7), 0.981), 718.0)}
-"""What the pairs of a known rig are off by where nothing can be measured, at a focal length in px; where from:
-docs/methods/stereo.md."""
 
 
-def usual_offset(rig: str | None, camera: Camera) -> Offset:
-    """Return what a rig's pairs are usually off by in a camera's pixels; nothing where the rig is not known."""
-    if rig not in USUAL:
+def usual_offset(rig: Rig | None, camera: Camera) -> Offset:
+    """Return the usual error of a rig's rectification in a camera's pixels; none where the rig is not known."""
+    if rig is None:
         return NONE
-    offset, fx = USUAL[rig]
-    a, b, c, e = (round(value * camera.fx / fx, 3) for value in offset.field_px)
-    return replace(offset, field_px=(a, b, c, e))
+    errors_px = rig.shift_px, rig.tilt_px, rig.yaw_px, rig.pitch_px
+    a, b, c, e = (round(value * camera.fx / rig.focal_px, 3) for value in errors_px)
+    return Offset((a, b, c, e), rig.scale)
 
 
 def compare(

@@ -7,11 +7,11 @@ import cv2
 import numpy as np
 import torch
 
-from priors.colours import as_rgb
+from priors.adapt.batch import Batch
+from priors.adapt.finetune import thin
+from priors.adapt.views import View, Window, choose_window, collate, cut_out, repaint
+from priors.codecs import as_rgb
 from priors.errors import DataError
-from priors.learn.adapt import thin
-from priors.learn.loop import Batch
-from priors.learn.views import View, Window, choose_window, collate, cut_out, repaint
 from priors.types import Camera, Drive, FloatMap, Image, Matrix
 
 NEAREST_M, WANTED_M, FARTHEST_M = 0.3, 1.0, 3.0

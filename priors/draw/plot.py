@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors.colours import Colour
-from priors.picture import FAINT, INK, PAPER, text_width, write
+from priors.draw.colours import Colour
+from priors.draw.panel import FAINT, INK, PAPER, text_width, write
 from priors.types import Image
 
 PALETTE: tuple[Colour, ...] = (

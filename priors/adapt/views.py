@@ -10,9 +10,9 @@ import numpy.typing as npt
 import torch
 
 from priors import geometry
-from priors.colours import as_rgb
-from priors.learn.completion import vary
-from priors.learn.loop import Batch
+from priors.adapt.augment import augment
+from priors.adapt.batch import Batch
+from priors.codecs import as_rgb
 from priors.types import Camera, FloatMap, Image
 
 Kind = TypeVar("Kind", bound=np.generic)
@@ -132,7 +132,7 @@ def nearest(map_: npt.NDArray[Kind], size: tuple[int, int]) -> npt.NDArray[Kind]
 
 def repaint(view: View, rng: np.random.Generator) -> View:
     """Change exposure, colour, sharpness and noise as cameras do."""
-    return View(vary(as_rgb(view.image), rng), view.camera, view.depth_m, view.sky, view.source)
+    return View(augment(as_rgb(view.image), rng), view.camera, view.depth_m, view.sky, view.source)
 
 
 def collate(views: Sequence[View]) -> Batch:

@@ -15,8 +15,8 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from priors.adapt.batch import Batch
 from priors.errors import DataError
-from priors.learn.loop import Batch
 from priors.nets.bts import MonoOut
 from priors.types import Drive
 

@@ -11,8 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from priors.learn.loop import Batch
-from priors.learn.weighing import mean
+from priors.adapt.batch import Batch
+from priors.adapt.objective import masked_mean
 
 NEAREST_M = 0.1
 STRUCTURE = 0.85
@@ -34,7 +34,7 @@ def photometric(inverse: Tensor, counts: Tensor, batch: Batch, stride: int, fine
     depth_m = 1 / shrink(inverse[:, None], stride)[:, 0]
     counts = shrink(counts[:, None].float(), stride)[:, 0] > 0.999
     (error,), unmoved = explain([depth_m], batch, stride, finest)
-    return mean(torch.minimum(error, unmoved), counts & (error < UNSEEN))
+    return masked_mean(torch.minimum(error, unmoved), counts & (error < UNSEEN))
 
 
 def explain(depths_m: Sequence[Tensor], batch: Batch, stride: int, finest: int) -> tuple[Tensor, Tensor]:
@@ -105,7 +105,7 @@ def roughness(inverse: Tensor, image: Tensor, counts: Tensor) -> Tensor:
     share = inverse / inverse.mean(dim=(1, 2), keepdim=True)
     across = (share[:, :, 1:] - share[:, :, :-1]).abs() * torch.exp(-(image[..., 1:] - image[..., :-1]).abs().mean(1))
     down = (share[:, 1:] - share[:, :-1]).abs() * torch.exp(-(image[:, :, 1:] - image[:, :, :-1]).abs().mean(1))
-    return mean(across, counts[:, :, 1:] & counts[:, :, :-1]) + mean(down, counts[:, 1:] & counts[:, :-1])
+    return masked_mean(across, counts[:, :, 1:] & counts[:, :, :-1]) + masked_mean(down, counts[:, 1:] & counts[:, :-1])
 
 
 def shrink(maps: Tensor, times: int) -> Tensor:

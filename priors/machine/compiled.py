@@ -19,8 +19,8 @@ from typing import Any
 from numba import njit
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache, _CacheLocator
 
-from priors.cpu import mode
-from priors.notices import on_compile, on_compiled
+from priors.machine.cpu import mode
+from priors.machine.notices import on_compile, on_compiled
 
 FAST = {"reassoc", "contract", "nsz", "arcp"}
 """Floating-point freedoms of most kernels; neither nnan nor ninf: an overflow must stay visible."""
@@ -72,8 +72,8 @@ def _places() -> list[Path]:
 @cache
 def _digest() -> str:
     """Hash the source of all kernels, and of what they are made of."""
-    root = Path(__file__).resolve().parent
-    files = [*root.glob("kernels/*.py"), *root.parent.glob("nerf/kernels/*.py"), Path(__file__)]
+    root = Path(__file__).resolve().parents[1]
+    files = [*root.glob("kernels/*.py"), *root.parent.glob("nerf/kernels/**/*.py"), Path(__file__)]
     sums = hashlib.sha256(f"{sys.version} ".encode())
     for file in sorted(files):
         sums.update(file.read_bytes())

@@ -7,8 +7,8 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.errors import DataError
-from priors.matching import largest_disparity, quarter_match
-from priors.offset import Offset, compare, fit_points, usual_offset
+from priors.pairs.matching import largest_disparity, quarter_match
+from priors.pairs.offset import Offset, compare, fit_points, usual_offset
 from priors.types import Camera, FloatMap, Frame, Image, Matrix
 
 Kind = TypeVar("Kind", bound=np.generic)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from priors.learn.loop import Batch
-from priors.learn.mono import loss
-from priors.learn.views import ZOOM, View, collate, crop_size, cut, repaint
+from priors.adapt.batch import Batch
+from priors.adapt.objective import loss
+from priors.adapt.views import ZOOM, View, collate, crop_size, cut, repaint
 from priors.nets.bts import MonoOut
 
 

@@ -8,13 +8,13 @@ import numpy as np
 from torch import nn
 
 from priors import geometry
+from priors.adapt.clips import pair_up
+from priors.adapt.depth_supervision import Measured
+from priors.adapt.finetune import MOST_VIEWS, AdaptConfig, Supervision, gather, thin
+from priors.adapt.video_supervision import LEARNING_RATE, Video, read_clip
+from priors.adapt.views import View, label_sky
 from priors.errors import DataError
-from priors.known import Known
-from priors.learn.adapt import MOST_VIEWS, AdaptConfig, Supervision, gather, thin
-from priors.learn.clips import pair_up
-from priors.learn.measured import Measured
-from priors.learn.video import LEARNING_RATE, Video, read_clip
-from priors.learn.views import View, label_sky
+from priors.methods._reference import Known
 from priors.records import original
 from priors.types import Drive, Frame, Matrix
 

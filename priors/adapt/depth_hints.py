@@ -12,9 +12,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from priors.learn.loop import Batch
-from priors.learn.photometric import explain, shrink
-from priors.learn.weighing import mean
+from priors.adapt.batch import Batch
+from priors.adapt.objective import masked_mean
+from priors.adapt.photometric import explain, shrink
 
 FARTHEST, TRIED = 1.2, 21
 """Largest change of log depth that is tried, up and down, and how many changes."""
@@ -43,7 +43,7 @@ class Hint:
 
     def error(self) -> Tensor:
         """Return the mean distance to the hinted log depth."""
-        return mean((self.log_depth - (self.log_depth + self.change).detach()).abs(), self.certain)
+        return masked_mean((self.log_depth - (self.log_depth + self.change).detach()).abs(), self.certain)
 
 
 def hint(inverse: Tensor, counts: Tensor, batch: Batch, stride: int, finest: int) -> Hint:

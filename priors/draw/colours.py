@@ -103,8 +103,3 @@ def thicken(picture: Image, radius_px: float = 1.5) -> Image:
     colours = np.zeros((int(labels.max()) + 1, 3), np.uint8)  # a label is one drawn pixel
     colours[labels[drawn]] = picture[drawn]
     return np.where((distance_px <= radius_px)[..., None], colours[labels], picture)
-
-
-def as_rgb(image: Image) -> Image:
-    """Return the image as (height, width, 3)."""
-    return np.repeat(image[..., None], 3, axis=2) if image.ndim == 2 else image

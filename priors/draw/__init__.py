@@ -1,0 +1,1 @@
+"""Pictures: colours of depth, error and confidence, panels of maps, plots."""
