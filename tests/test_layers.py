@@ -9,6 +9,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = [
     "eval",
     "priors/errors",
+    "priors/records",
     "priors/types",
     "priors/codecs",
     "priors/machine",
@@ -17,6 +18,7 @@ ROOMS = [
     "priors/sky",
     "priors/draw",
     "priors/cache",
+    "priors/keys",
     "priors/drives",
     "priors/pairs",
     "priors/filters",
