@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.depth import FloatArray, Mask, has_value
+from eval.errors import DataError
 
 KB_ROWS, KB_COLUMNS = 352, 1216
 # Top, bottom, left, right as shares of the image, each cut off to whole pixels, as in their authors' code.
@@ -21,8 +22,8 @@ FRACTIONS = {
 }
 
 
-class ScoreError(ValueError):
-    """Scores that cannot be made, read or compared, told in one line."""
+class ScoreError(DataError):
+    """A score that cannot be made, read or compared."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,8 +6,6 @@ and each frame's sums. Only protocol, info and sums are read back; NaN is writte
 
 import json
 import math
-import os
-import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import reduce
@@ -19,6 +17,7 @@ import numpy as np
 
 from eval.curves import Samples, curves, sample
 from eval.depth import DepthSums, FloatArray
+from eval.files import write_bytes
 from eval.protocol import Protocol, ScoreError
 from eval.stereo import DisparitySums
 
@@ -108,13 +107,8 @@ class Result:
             "ranges": ranges,
             "frames": [asdict(row) | {"metrics": row.metrics()} for row in self.rows],
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
-        try:
-            temporary.write_text(json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n")
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        text = json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n"
+        write_bytes(path, text.encode())
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -133,8 +127,6 @@ class Result:
         except OSError as error:
             raise ScoreError(f"{path}: cannot be read ({error.strerror}): score first") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            if isinstance(error, ScoreError):
-                raise
             raise ScoreError(f"{path}: expected a metrics file, found damaged or other data: score again") from error
 
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from eval import sheet as typeset
+from eval.files import write_bytes
 from eval.protocol import ScoreError
 from eval.result import Result, refuse_to_mix
 from eval.sheet import Column, Sheet, lay
@@ -147,5 +148,4 @@ def save(results: Sequence[Result], path: Path) -> None:
     """
     if path.suffix not in WRITERS:
         raise ScoreError(f"{path}: expected a table ending in {', '.join(WRITERS)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(WRITERS[path.suffix](results))
+    write_bytes(path, WRITERS[path.suffix](results).encode())
