@@ -33,14 +33,14 @@ from eval.sums import Sums, ratio_of
 FloatArray = npt.NDArray[np.floating]
 Mask = npt.NDArray[np.bool_]
 
-SMALLEST_M = float(np.finfo(np.float32).smallest_subnormal)
-LARGEST_M = float(np.finfo(np.float32).max)
+SMALLEST_VALUE = float(np.finfo(np.float32).smallest_subnormal)
+LARGEST_VALUE = float(np.finfo(np.float32).max)
 
 
 def has_value(depth_m: npt.NDArray[Any]) -> Mask:
     """Tell where a map (any shape) has a value."""
     wide = depth_m.astype(np.float64, copy=False)  # a float16 map is not compared against an overflowed bound
-    return (wide >= SMALLEST_M) & (wide <= LARGEST_M)
+    return (wide >= SMALLEST_VALUE) & (wide <= LARGEST_VALUE)
 
 
 @dataclass(frozen=True, slots=True)
