@@ -124,8 +124,8 @@ def test_the_scanner_meets_what_stands_there_at_each_points_own_time(street):
 def test_casting_equals_the_loop_for_still_and_moving_things():
     rng = np.random.default_rng(1)
     corner = rng.uniform(-5, 5, (6, 1, 3))
-    still = mesh.boxes(np.concatenate([corner, corner + 1], axis=1), Material.PLAIN, [0.5] * 3)
-    thing = mesh.box([-1, -1, -1], [1, 0.5, 1], Material.PLAIN, [0.5] * 3)
+    still = mesh.boxes(np.concatenate([corner, corner + 1], axis=1), mesh.Finish(Material.PLAIN, [0.5] * 3))
+    thing = mesh.box([-1, -1, -1], [1, 0.5, 1], mesh.Finish(Material.PLAIN, [0.5] * 3))
 
     def pose(time_s):
         T = np.tile(np.eye(4), (len(time_s), 1, 1))
@@ -148,8 +148,8 @@ def test_casting_equals_the_loop_for_still_and_moving_things():
 
 
 def test_light_is_blocked_by_the_moving_thing_where_it_is():
-    floor = mesh.quads([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], Material.PLAIN, [0.5] * 3)
-    roof = mesh.quads([(-1, -1, 2), (1, -1, 2), (1, 1, 2), (-1, 1, 2)], Material.PLAIN, [0.5] * 3)
+    floor = mesh.quads([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], mesh.Finish(Material.PLAIN, [0.5] * 3))
+    roof = mesh.quads([(-1, -1, 2), (1, -1, 2), (1, 1, 2), (-1, 1, 2)], mesh.Finish(Material.PLAIN, [0.5] * 3))
 
     def pose(time_s):
         T = np.tile(np.eye(4), (len(time_s), 1, 1))
