@@ -51,8 +51,8 @@ def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:
     """Read a uint16 depth (metres) or disparity (px) PNG: float32 (height, width), 0 = no value."""
     codes = _decode(path, cv2.IMREAD_UNCHANGED)
     if codes.dtype != np.uint16 or codes.ndim != 2:
-        found = f"{codes.dtype} with shape {codes.shape}"
-        raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {found}: is this a colour map?")
+        kind = f"{codes.dtype} with shape {codes.shape}"
+        raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {kind}: is this a colour map?")
     return codes.astype(np.float32) / np.float32(PNG_SCALE[encoding])
 
 

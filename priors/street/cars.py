@@ -19,7 +19,7 @@ PAINTS = np.array(
         [0.22, 0.19, 0.15], [0.03, 0.05, 0.12], [0.05, 0.05, 0.055], [0.24, 0.25, 0.27],
     ]
 )  # fmt: skip
-BLACK = [0.012, 0.012, 0.012]
+BLACK_TINT = [0.012, 0.012, 0.012]
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def _body(shape: Shape, paint: npt.ArrayLike, key: float) -> list[Mesh]:
             for i in range(count // 2)]  # fmt: skip
     floor = np.stack([rings[:-1, 0], rings[1:, 0], rings[1:, -1], rings[:-1, -1]], axis=1)
     end_caps = mesh.quads(ends, Finish(Material.PAINT, paint, key), np.full((4, 2), 0.9))
-    return [shell, end_caps, mesh.quads(floor, Finish(Material.RUBBER, BLACK))]
+    return [shell, end_caps, mesh.quads(floor, Finish(Material.RUBBER, BLACK_TINT))]
 
 
 def _glass_house(shape: Shape, paint: npt.ArrayLike, key: float) -> list[Mesh]:
@@ -160,7 +160,7 @@ def _wheels(shape: Shape, rng: np.random.Generator) -> list[Mesh]:
     for x in (-0.305 * shape.length_m, 0.31 * shape.length_m):
         for side in (1, -1):
             face = side * 0.5 * shape.width_m
-            arch = mesh.disc([x, face * 1.003, radius], 1, radius * 1.15, Finish(Material.RUBBER, BLACK), sides=20)
+            arch = mesh.disc([x, face * 1.003, radius], 1, radius * 1.15, Finish(Material.RUBBER, BLACK_TINT), sides=20)
             arch.corners[..., 2] = np.maximum(arch.corners[..., 2], 0.2)
             tyre = [x, face - side * 0.2, radius], [x, face + side * 0.012, radius]
             parts += [
@@ -191,7 +191,7 @@ def _details(shape: Shape, key: float, rng: np.random.Generator) -> list[Mesh]:
             mesh.box(*lamp, Finish(Material.LAMP, [0.6] * 3, key)),
             mesh.box(*light, Finish(Material.LAMP, [0.30, 0.012, 0.012], key)),
             mesh.box(
-                [x, mirror[0], belt + 0.01], [x + 0.08, mirror[1], belt + 0.13], Finish(Material.PLAIN, BLACK, key)
+                [x, mirror[0], belt + 0.01], [x + 0.08, mirror[1], belt + 0.13], Finish(Material.PLAIN, BLACK_TINT, key)
             ),
         ]
     for x, z in ((front + 0.012, 0.42), (rear - 0.012, belt * 0.60)):
@@ -204,4 +204,4 @@ def _details(shape: Shape, key: float, rng: np.random.Generator) -> list[Mesh]:
         [[front - 0.12, -0.66 * half, 0.33], [front + 0.006, 0.66 * half, 0.39]],
         [[rear - 0.006, -0.7 * half, 0.36], [rear + 0.1, 0.7 * half, 0.43]],
     ]
-    return [*parts, mesh.boxes(strips, Finish(Material.RUBBER, BLACK))]
+    return [*parts, mesh.boxes(strips, Finish(Material.RUBBER, BLACK_TINT))]

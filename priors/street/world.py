@@ -11,13 +11,13 @@ from priors.street.config import KERB_HEIGHT_M, KERB_M, StreetConfig
 from priors.street.materials import Material
 from priors.street.mesh import Finish, Mesh
 from priors.street.path import BEHIND_M, Path
-from priors.street.scene import Body
+from priors.street.raycast import Body
 
 Values = npt.NDArray[np.floating]
 PROTOTYPES = 7
 GAP_M = 9.0
 FINE_LEAVES_M = 16.0
-CHUNK = 100_000
+CORNERS_AT_ONCE = 100_000
 HILL_TINT = [0.05, 0.07, 0.04]
 
 
@@ -40,8 +40,8 @@ class World:
         self.bodies = self._traffic()
 
     def _bend(self, straight: Mesh) -> Mesh:
-        parts = range(0, len(straight), CHUNK)
-        corners = [self.path.bend(straight.corners[i : i + CHUNK]).astype(np.float32) for i in parts]
+        parts = range(0, len(straight), CORNERS_AT_ONCE)
+        corners = [self.path.bend(straight.corners[i : i + CORNERS_AT_ONCE]).astype(np.float32) for i in parts]
         heading = self.path.heading_rad(straight.corners[:, 0, 0]).astype(np.float32)[:, None]
         cos, sin = np.cos(heading), np.sin(heading)
         x, y, z = np.moveaxis(straight.normal, -1, 0)
