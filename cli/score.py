@@ -14,9 +14,9 @@ from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from cli.show import compare
 from eval import table
-from eval.curves import Curves, Metric, Samples, best, curves, join
+from eval.curves import Curves, Metric, ScoredPixels, best, curves, join
 from eval.protocol import PRESETS, Protocol, ScoreError, preset
-from eval.result import Result, Scored, score
+from eval.result import Comparison, Result, score
 from priors import cache
 from priors.build import select
 from priors.cache import Prior
@@ -155,7 +155,7 @@ def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scores:
         ids = _scored_ids(prior, drive, reference, args.frames)
         fx_baseline = _fx_baseline(drive)
         info = {"prior": name, "drive": drive.name, "folder": prior.name}
-        parts: list[Samples] = []
+        parts: list[ScoredPixels] = []
         wants_curves = (args.curves is not None or args.pages) and (prior.folder / "confidence").is_dir()
         with progress(name, len(ids)) as step:
             frames = _pairs(prior, drive, reference, ids, step)
@@ -199,13 +199,15 @@ def _scored_ids(prior: Prior, drive: Drive, reference: Prior | None, frames: str
     return with_truth
 
 
-def _pairs(prior: Prior, drive: Drive, reference: Prior | None, ids: Sequence[str], step: object) -> Iterator[Scored]:
+def _pairs(
+    prior: Prior, drive: Drive, reference: Prior | None, ids: Sequence[str], step: object
+) -> Iterator[Comparison]:
     """Read map and truth of each frame as it is asked for."""
     index = {id_: i for i, id_ in enumerate(drive.ids)}
     for id_ in ids:
         made = prior.read(id_)
         truth = drive[index[id_]].truth() if reference is None else reference.read(id_)
-        yield id_, made.depth_m, made.confidence, truth.depth_m
+        yield Comparison(id_, made.depth_m, made.confidence, truth.depth_m)
         if callable(step):
             step()
 
@@ -215,7 +217,7 @@ def _fx_baseline(drive: Drive) -> float | None:
     return None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
 
 
-def _curves(samples: Samples, fx_baseline: float | None) -> list[Curves]:
+def _curves(samples: ScoredPixels, fx_baseline: float | None) -> list[Curves]:
     metrics: tuple[Metric, ...] = ("abs_rel", "rmse") if fx_baseline is None else ("abs_rel", "rmse", "d1")
     return [curves(samples, metric, fx_baseline) for metric in metrics]
 
@@ -229,7 +231,7 @@ def _areas(name: str, made: Sequence[Curves]) -> str:
     return f"{name}: AUSE {', '.join(texts)}"
 
 
-def _best_share(name: str, samples: Samples, fx_baseline: float | None) -> str:
+def _best_share(name: str, samples: ScoredPixels, fx_baseline: float | None) -> str:
     """Score the study's share of the pixels: the most confident ones, and the nearest, which need no confidence."""
     nearest = replace(samples, confidence=-samples.prediction_m)
     texts = []

@@ -37,7 +37,7 @@ def test_depth_colours_are_a_fixed_scale_and_black_is_no_value():
 
 
 def test_no_colour_of_a_scale_is_near_black():
-    for table in (colours.DEPTH_COLOURS, colours.CONFIDENCE_COLOURS, GOOD_TO_BAD, colours.NEAR_TO_FAR):
+    for table in (colours.DEPTH_COLOURS, colours.CONFIDENCE_COLOURS, GOOD_TO_BAD):
         assert table.max(axis=1).min() > 60
     assert not (np.array(MISSING) == GOOD_TO_BAD).all(axis=1).any()
 
@@ -47,7 +47,6 @@ def test_extreme_maps_are_painted_without_a_warning():
         for painted in (
             colour_depth(EXTREMES),
             colour_error(EXTREMES, truth),
-            colours.colour_signed_error(EXTREMES, truth),
             colour_confidence(EXTREMES, EXTREMES > 0),
         ):
             assert painted.dtype == np.uint8
@@ -67,14 +66,6 @@ def test_error_colours_step_at_their_edges():
 def test_a_truth_without_a_prediction_is_neither_good_nor_black():
     painted = colour_error(np.array([[0, 5, 0]], np.float32), np.array([[5, 0, 0]], np.float32))[0]
     assert painted.tolist() == [list(MISSING), [0, 0, 0], [0, 0, 0]]
-
-
-def test_signed_errors_tell_near_from_far():
-    truth = np.full((1, 3), 10.0, np.float32)
-    near, right, far = colours.colour_signed_error(np.array([[8, 10, 12]], np.float32), truth)[0].astype(int)
-    assert near[2] > near[0] + 50
-    assert far[0] > far[2] + 50
-    assert right.min() > 230
 
 
 def test_thickening_grows_into_black_only():
@@ -136,16 +127,6 @@ def test_captions_and_bars_are_drawn():
     assert {tuple(colour) for colour in GOOD_TO_BAD.tolist()} <= {tuple(c) for c in strip.reshape(-1, 3).tolist()}
     assert (strip[:, :80] != panel.PAPER).any()
     assert (panel.panel([Tile(blank, "")], 1, 300)[:40, :80] == panel.PAPER).all()
-
-
-def test_overlay_tints_inside_only():
-    image = np.full((10, 10), 100, np.uint8)
-    mask = np.zeros((10, 10), bool)
-    mask[2:8, 2:8] = True
-    tinted = panel.overlay(image, mask, (0, 0, 255))
-    assert (tinted[~mask] == 100).all()
-    assert tinted[5, 5].tolist() == [55, 55, 169]
-    assert tinted[2, 2].tolist() == [0, 0, 255]  # the outline
 
 
 def test_a_long_caption_ends_before_the_bar() -> None:

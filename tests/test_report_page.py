@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from eval.curves import Samples, curves
 from eval.protocol import preset
 from eval.result import Result, score
-from eval.sheet import Column, lay
+from eval.typeset import Column, lay_out
 from priors.draw.lines import Line, Plot
 from priors.report.page import Figure, Page, Picture, Section
 from priors.report.scores import by_range, scores_page, sparsification
@@ -65,7 +65,8 @@ def page(name: str = "a", **more: Any) -> Page:
     rows = [((name,), {"psnr": 20.0}), (("b",), {"psnr": 21.0}), (("c",), {})]
     sections = [
         Section(
-            "Figures", sheet=lay(("run",), {"psnr": Column("PSNR", "dB", higher=True, digits=2)}, rows, name, [name])
+            "Figures",
+            table=lay_out(("run",), {"psnr": Column("PSNR", "dB", higher=True, digits=2)}, rows, name, [name]),
         ),
         Section("Plots", figures=[Figure(plots, caption=name), Figure(plots)]),
         Section("Pictures", pictures=[Picture(name, np.full((20, 30, 3), 200, np.uint8))]),

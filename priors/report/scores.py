@@ -41,7 +41,7 @@ def scores_page(
         f"Depth priors of {', '.join(drives)}" if drives else "Depth priors",
         "Depth maps scored against the truth. The best figure of a column is bold, the second underlined.",
         [
-            Section("Figures", sheet=table.sheet(results, keys)),
+            Section("Figures", table=table.table_of(results, keys)),
             Section("Error by true distance", figures=[Figure(by_range(results), len(BY_RANGE))]),
             Section("Sparsification: the error as the least confident pixels are dropped", figures=sparsified),
             Section("Frames", pictures=pictures),
