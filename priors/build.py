@@ -14,11 +14,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from priors import cache
+from priors import cache, keys
 from priors.cache import Prior
 from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
+from priors.records import record
 from priors.selection import MotionGate, Selection, select, shard
 from priors.sky import VERSION as SKY_VERSION
 from priors.types import Drive, Frame, Input, Method
@@ -124,7 +125,7 @@ class Job:
     ) -> None:
         """Compute what the report's plan says, and note in the report what came of it."""
         make_depth = self.method.prepare(self.drive, self.prior.folder.parent / "weights", on_note)
-        cache.create(self.prior.folder.parent.parent, self.prior.manifest)
+        cache.create(self.prior.folder, self.prior.manifest)
         self.prior.drop_stale()
         writing = threading.Lock()
 
@@ -146,7 +147,7 @@ class Job:
 
 
 def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder: Path = Path("cache")) -> Job:
-    """Decide every 'auto' and find the prior's place in the cache; nothing is computed.
+    """Decide every 'auto' and find the prior's place in the cache; no map is made.
 
     Args:
         drive: what to make depth for.
@@ -157,21 +158,25 @@ def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder
     filters = filters or Filters()
     frame = _first_readable(drive)
     method = method.resolve(frame)
-    decides = {
+    manifest = {
         "format": cache.FORMAT,
         "code": version("roadprior"),
         "method": method.name,
-        "config": method.record(),
+        "version": method.VERSION,
+        "config": record(method),
         "filters": filters.record(),
         "sky": SKY_VERSION,
         "weights": method.weights_digest(),
         "fingerprint": drive.fingerprint(),
         "maps": _maps_digest(frame, {*method.reads, *filters.reads}),
         "camera": {"K": frame.camera.K.tolist(), "size": list(frame.camera.size), "baseline_m": frame.baseline_m},
+        "encoding": "kitti",
+        "drive": {"name": drive.name, **drive.describe()},
     }
-    key = cache.key_of(decides)
-    manifest = {**decides, "key": key, "encoding": "kitti", "drive": {"name": drive.name, **drive.describe()}}
-    return Job(drive, method, filters, Prior(folder / drive.name / f"{method.name}-{key}", manifest))
+    earlier = keys.find(folder / drive.name, manifest, method)
+    key = keys.key(manifest, method) if earlier is None else earlier.manifest["key"]
+    home = folder / drive.name / f"{method.name}-{key}" if earlier is None else earlier.folder
+    return Job(drive, method, filters, Prior(home, {**manifest, "key": key}))
 
 
 def _first_readable(drive: Drive) -> Frame:

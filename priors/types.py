@@ -3,9 +3,9 @@
 import re
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, Protocol, Self, TypeAlias
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -193,6 +193,9 @@ class Method(ABC):
     A subclass must have `reads`, `resolve` and `__call__`; the rest has defaults that suit most.
     """
 
+    VERSION: ClassVar[int] = 1
+    """Part of the cache's key: raised when the method's maps change, and only then. Rounding is no change."""
+
     @property
     def name(self) -> str:
         """What flags, folders and tables call it: the class's name in snake case, which is also its file's."""
@@ -210,13 +213,6 @@ class Method(ABC):
     @abstractmethod
     def __call__(self, frame: Frame) -> Depth:
         """Make the frame's depth map."""
-
-    def record(self) -> dict[str, Any]:
-        """Return the fields as the cache's key and the manifest hold them.
-
-        Of a file it is the name: what the file holds decides the maps (see weights_digest), not where it lies.
-        """
-        return {name: value.name if isinstance(value, Path) else value for name, value in asdict(self).items()}
 
     def weights_digest(self) -> str | None:
         """Return the hash of the learned weights, for the cache's key; None where there are none."""

@@ -9,6 +9,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = [
     "eval",
     "priors/errors",
+    "priors/records",
     "priors/types",
     "priors/selection",
     "priors/codecs",
@@ -18,6 +19,7 @@ ROOMS = [
     "priors/sky",
     "priors/draw",
     "priors/cache",
+    "priors/keys",
     "priors/drives",
     "priors/pairs",
     "priors/filters",
@@ -27,6 +29,7 @@ ROOMS = [
     "priors/methods",
     "priors/check",
     "priors/naming",
+    "priors/report",
     "priors/street",
     "priors/learn",
     "nerf",

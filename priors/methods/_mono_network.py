@@ -1,7 +1,6 @@
 """Our single-image network: run on a frame, and adapted to a drive."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,12 +8,13 @@ import torch
 from torch import nn
 
 from priors.adapt.finetune import AdaptConfig, adapt
-from priors.cache import key_of
 from priors.errors import DataError
+from priors.keys import key_of
 from priors.methods._mono_estimator import Prediction
 from priors.methods._mono_supervision import PlannedSupervision
 from priors.methods._network import Network
 from priors.nets import runtime, weights
+from priors.records import original
 from priors.types import Camera, Drive, Image
 
 if TYPE_CHECKING:  # onnxruntime's half is loaded where it is asked for
@@ -58,7 +58,7 @@ def adapted_weights(
         "drive": drive.fingerprint(),
         "frames": planned.frames,
         "known": planned.decides,
-        "config": asdict(config),
+        "config": original(config),
     }
     path = folder / f"mono-{key_of(decides)}.safetensors"
     if path.is_file():

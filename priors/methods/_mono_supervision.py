@@ -1,7 +1,7 @@
 """Supervision of the single-image network by a drive's training frames: planned, put into the key, read when needed."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from priors.adapt.video_supervision import LEARNING_RATE, Video, read_clip
 from priors.adapt.views import View, label_sky
 from priors.errors import DataError
 from priors.methods._reference import ReferenceDepth
+from priors.records import original
 from priors.types import Drive, Frame, Matrix
 
 
@@ -42,7 +43,7 @@ def by_depth(drive: Drive, indices: Sequence[int], reference: ReferenceDepth) ->
         return Measured(gather(drive, picked, lambda index: as_view(drive[index], reference), reference.source))
 
     ids = [drive.ids[index] for index in picked]
-    return PlannedSupervision(f"{reference.source} depth", ids, asdict(reference), read)
+    return PlannedSupervision(f"{reference.source} depth", ids, original(reference), read)
 
 
 def by_video(drive: Drive, indices: Sequence[int]) -> PlannedSupervision:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from priors.errors import DataError, expect, expect_choices
 from priors.machine import threads
@@ -34,6 +34,9 @@ class Completion(Method):
     """What runs the network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     weights: Path | None = None
     """Your own weights for the network, .safetensors; default: those that come with the package."""
+
+    VERSION: ClassVar[int] = 0 + Lidar.VERSION
+    """Raised with lidar's, whose maps it fills: a sum, so that either makes a new one."""
 
     def __post_init__(self) -> None:
         expect_choices(self, "completion.")

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 from priors.errors import DataError, expect, expect_choices
 from priors.machine import threads
@@ -49,6 +49,9 @@ class Mono(Method):
     frames: str | None = None
     """Range a:b of the frames to adapt and align on, as --frames; hold_out counts inside it. Default: the whole drive,
     whatever --frames says."""
+
+    VERSION: ClassVar[int] = 1
+    """To be raised too where what it learns from or is aligned to changes: the maps of lidar and stereo."""
 
     def __post_init__(self) -> None:
         expect_choices(self, "mono.")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Stereo(Method):
     rig's pairs usually have (KITTI), else 0. Give 0 0 0 for depth from the images alone."""
     scale: float | None = None
     """Scale of the disparity, see offset-px. Default: measured with it; 1 where the offset is given."""
+
+    VERSION: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
         expect_choices(self, "stereo.")
