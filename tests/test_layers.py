@@ -29,6 +29,7 @@ ROOMS = [
     "priors/methods",
     "priors/check",
     "priors/naming",
+    "priors/score",
     "priors/report",
     "priors/street",
     "priors/learn",

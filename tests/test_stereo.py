@@ -217,7 +217,7 @@ def test_resolve_without_lidar_is_what_the_rig_usually_has() -> None:
     assert (kitti.offset_px, kitti.scale) == (usual.offset_px, usual.scale) != (ZERO, 1.0)
     given = Stereo(offset_px=(1, 2, 3)).resolve(frame(left, right, rig=KITTI))
     assert (given.offset_px, given.scale) == ((1, 2, 3, 0), 1.0)
-    with pytest.raises(DataError, match="--stereo.offset-px 1 2 3 4 5: expected at most 4 numbers"):
+    with pytest.raises(DataError, match=r"--stereo\.offset-px 1 2 3 4 5: expected at most 4 numbers"):
         Stereo(offset_px=(1, 2, 3, 4, 5))
 
 

@@ -15,7 +15,7 @@ from types import ModuleType
 from typing import Any
 
 from priors.drives._camera_drive import CameraDrive as CameraDrive
-from priors.errors import DataError
+from priors.errors import DataError, expect
 from priors.types import Drive
 
 LISTED = 1000  # entries of an unknown folder that its error message looks at
@@ -33,6 +33,10 @@ class DriveOptions:
     truth: Path | None = None
     """Folder with KITTI depth maps: holds train/<drive>/proj_depth or <drive>/proj_depth. For Argoverse 1: the folder
     that holds disparity_maps_v1.1."""
+
+    def __post_init__(self) -> None:
+        expect(self.drive != "", "--drive", "''", "a name, or leave it out")
+        expect(self.camera != "", "--camera", "''", "a name, or leave it out")
 
 
 def names() -> list[str]:
