@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_build import SIZE, Line
 
@@ -16,10 +16,12 @@ from priors.filters import Filters
 from priors.records import Aliases, record
 from priors.types import Depth, Frame
 
+whatever_the_load = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 values = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
 parts = st.dictionaries(st.text(), values | st.lists(values) | st.dictionaries(st.text(), values))
 
 
+@whatever_the_load
 @given(parts, st.randoms())
 def test_the_key_ignores_order(entries: dict[str, object], random: object) -> None:
     shuffled = list(entries.items())
@@ -27,6 +29,7 @@ def test_the_key_ignores_order(entries: dict[str, object], random: object) -> No
     assert keys.key_of(entries) == keys.key_of(dict(shuffled))
 
 
+@whatever_the_load
 @given(parts, parts)
 def test_other_parts_have_another_key(one: dict[str, object], two: dict[str, object]) -> None:
     same = json.dumps(one, sort_keys=True) == json.dumps(two, sort_keys=True)

@@ -10,7 +10,7 @@ from types import ModuleType
 from typing import Any, ClassVar, get_type_hints
 
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import cli
@@ -97,6 +97,7 @@ def test_the_first_names_are_those_that_stand_first() -> None:
     }
 
 
+whatever_the_load = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 px = st.floats(-5, 5)
 networks = st.builds(Network, st.text(), st.none() | st.just(Path("w.onnx")), st.integers())
 spans = st.lists(st.tuples(px, px), max_size=3).map(tuple)
@@ -106,6 +107,7 @@ configs = st.tuples(px, st.none() | st.tuples(px, px), spans, networks, st.none(
 )
 
 
+@whatever_the_load
 @given(configs)
 def test_what_is_written_under_any_names_makes_the_same_config(config: Today) -> None:
     today = record(config)
@@ -115,6 +117,7 @@ def test_what_is_written_under_any_names_makes_the_same_config(config: Today) ->
     assert restore(Today, original(Today, today)) == config
 
 
+@whatever_the_load
 @given(configs, configs)
 def test_other_configs_have_other_first_records(one: Today, two: Today) -> None:
     assert (original(Today, record(one)) == original(Today, record(two))) == (record(one) == record(two))
