@@ -83,8 +83,8 @@ def prepare(drive: Drive, method_name: str, method: Method, filters: Filters, fo
         "encoding": "kitti",
         "drive": {"name": drive.name, **drive.describe()},
     }
-    earlier = keys.find(folder / drive.name, manifest, method)
-    key = keys.key(manifest, method) if earlier is None else earlier.manifest["key"]
+    earlier = keys.find(folder / drive.name, manifest, type(method))
+    key = keys.key(manifest, type(method)) if earlier is None else earlier.manifest["key"]
     home = folder / drive.name / f"{method_name}-{key}" if earlier is None else earlier.folder
     return Prior(home, {**manifest, "key": key}), method
 

@@ -12,7 +12,7 @@ from priors.methods._mono_supervision import Lesson
 from priors.nets import runtime, weights
 from priors.nets.graphs import Portable, open_portable
 from priors.nets.runtime import Ready, Runtime
-from priors.records import original
+from priors.records import original, record
 from priors.types import Camera, Drive, FloatMap, Image
 
 NAME = "bts"
@@ -68,7 +68,7 @@ def adapted_weights(
         "drive": drive.fingerprint(),
         "frames": lesson.frames,
         "known": lesson.decides,
-        "config": original(config),
+        "config": original(AdaptConfig, record(config)),
     }
     path = folder / f"mono-{key_of(decides)}.safetensors"
     if path.is_file():

@@ -15,7 +15,7 @@ from priors.adapt.video_supervision import LEARNING_RATE, Video, read_clip
 from priors.adapt.views import View, label_sky
 from priors.errors import DataError
 from priors.methods._reference import Known
-from priors.records import original
+from priors.records import original, record
 from priors.types import Drive, Frame, Matrix
 
 
@@ -42,7 +42,7 @@ def by_depth(drive: Drive, indices: Sequence[int], known: Known) -> Lesson:
     def read(start: nn.Module, bf16: bool) -> Supervision:
         return Measured(gather(drive, picked, lambda index: as_view(drive[index], known), known.source))
 
-    return Lesson(f"{known.source} depth", [drive.ids[index] for index in picked], original(known), read)
+    return Lesson(f"{known.source} depth", [drive.ids[index] for index in picked], original(Known, record(known)), read)
 
 
 def by_video(drive: Drive, indices: Sequence[int]) -> Lesson:
