@@ -18,7 +18,6 @@ from rich.progress import (
 )
 
 from cli.compiling import Column, Watch
-from eval.protocol import ScoreError
 from priors.errors import DataError, UsageError
 
 PIPE_WIDTH = 160
@@ -36,7 +35,7 @@ def guarded(command: Callable[[], int]) -> int:
     watch.install()
     try:
         return command()
-    except (DataError, ScoreError) as error:
+    except DataError as error:
         err.print(f"[bold red]error:[/] {escape(str(error))}")
         return USAGE_ERROR if isinstance(error, UsageError) else DATA_ERROR
     except KeyboardInterrupt:

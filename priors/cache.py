@@ -10,7 +10,6 @@ folder and never an old map. A depth file is the mark that its frame is done: it
 """
 
 import json
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from eval import files
 from priors import codecs
 from priors.errors import DataError
 from priors.types import Depth
@@ -25,7 +25,6 @@ from priors.types import Depth
 FORMAT = 1
 FIRST_VERSION = 1
 """Of every method, in manifests of the time when the package's version stood for it."""
-STALE_S = 3600.0
 _PNG_END = b"IEND\xaeB`\x82"
 
 
@@ -98,9 +97,7 @@ class Prior:
 
     def drop_stale(self) -> None:
         """Delete temporary files that a kill left behind, once no other machine can still be writing them."""
-        for path in self.folder.rglob(".*"):
-            if path.is_file() and time.time() - path.stat().st_mtime > STALE_S:
-                path.unlink(missing_ok=True)
+        files.drop_stale(self.folder)
 
     def lines(self) -> dict[str, dict[str, Any]]:
         """Return frames.jsonl by frame id: the newest line of each; a line cut off by a kill is left out."""

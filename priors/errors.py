@@ -1,11 +1,6 @@
-"""The errors a user is meant to read."""
+"""The errors that a user reads: DataError, and UsageError where a command was called wrongly."""
 
-
-class DataError(Exception):
-    """Bad data, told in one line: what was expected, what was found, what to do.
-
-    The command line prints it without a traceback and exits 1.
-    """
+from eval.errors import DataError as DataError
 
 
 class UsageError(DataError):

@@ -28,6 +28,7 @@ ROOMS = [
     "priors/methods",
     "priors/check",
     "priors/naming",
+    "priors/report",
     "priors/street",
     "priors/learn",
     "nerf",

@@ -14,6 +14,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.errors import DataError
 from priors.types import Drive
 

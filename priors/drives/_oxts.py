@@ -20,8 +20,8 @@ from priors.types import Matrix
 
 EARTH_RADIUS_M = 6378137.0
 
-AROUND = 10  # frames before and after through whose stamps the line goes: 21 leave 0.6 ms of the 5
-FEWEST = 5
+FRAMES_AROUND = 10  # frames before and after through whose stamps the line goes: 21 leave 0.6 ms of the 5
+FEWEST_STAMPS = 5
 RECORD_S = 0.01  # stamps farther from the line are no rounding: then nothing is known about the frames' times
 
 
@@ -92,8 +92,8 @@ def late_s(stamps_s: Mapping[int, float]) -> dict[int, float]:
     """
     late = {}
     for number in stamps_s:
-        around = [other for other in range(number - AROUND, number + AROUND + 1) if other in stamps_s]
-        if len(around) < FEWEST:
+        around = [other for other in range(number - FRAMES_AROUND, number + FRAMES_AROUND + 1) if other in stamps_s]
+        if len(around) < FEWEST_STAMPS:
             continue
         steps = np.array(around, dtype=np.float64) - number
         stamps = np.array([stamps_s[other] for other in around]) - stamps_s[number]

@@ -6,7 +6,7 @@ A row of the grid is two features as bfloat16 in one 32-bit word: one gathered w
 import numpy as np
 import numpy.typing as npt
 
-from nerf.kernels.lanes import (
+from nerf.kernels.cpu.lanes import (
     add_pair,
     exponential,
     floats,

@@ -7,8 +7,19 @@ instruction that multiplies is replaced by ordinary code that does the same, and
 
 import numpy as np
 
-from nerf.kernels.lanes import TILE, floats, fma, high_float, ints, load_floats, load_int, load_ints, low_float, store
-from nerf.kernels.x86 import configuration, configure, release, tile_load, tile_product, tile_store, tile_zero
+from nerf.kernels.cpu.lanes import (
+    TILE,
+    floats,
+    fma,
+    high_float,
+    ints,
+    load_floats,
+    load_int,
+    load_ints,
+    low_float,
+    store,
+)
+from nerf.kernels.cpu.x86 import configuration, configure, release, tile_load, tile_product, tile_store, tile_zero
 from priors.machine.compiled import compiled
 from priors.machine.cpu import mode
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerf.kernels.lanes import (
+from nerf.kernels.cpu.lanes import (
     exponential,
     floats,
     from_bits,
@@ -25,7 +25,7 @@ from nerf.kernels.lanes import (
     transpose,
     where_nonzero,
 )
-from nerf.kernels.products import OPERAND, TILE, begin, end, pack, product, product_added, store_operand
+from nerf.kernels.cpu.products import OPERAND, TILE, begin, end, pack, product, product_added, store_operand
 from priors.machine.compiled import compiled
 
 Words = npt.NDArray[np.int32]

@@ -4,18 +4,17 @@ Nothing here waits for the device, and shapes follow the arguments' alone, so th
 """
 
 import functools
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
-from nerf.kernels import plain, triton_adam, triton_encode, triton_mlp
+from nerf.kernels.plain import field as plain
+from nerf.kernels.triton import adam as adam_kernel
+from nerf.kernels.triton import encode as encode_kernels
+from nerf.kernels.triton import perceptron
 from nerf.kernels.words import flat, words
 from nerf.twin.adam import BETA_MEAN, BETA_SQUARE
-from nerf.twin.field import Layers
-
-if TYPE_CHECKING:
-    from nerf.grid import GridConfig
+from nerf.types import GridConfig, Layers
 
 STORAGE = torch.bfloat16
 BLOCK = 256
@@ -25,19 +24,19 @@ _NUMBERS = 1024
 """Numbers that a program of the optimiser moves."""
 
 
-def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: "GridConfig") -> Tensor:
+def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: GridConfig) -> Tensor:
     """Return features (levels, m, 2), bfloat16; weights bfloat16, sums float32."""
     features = torch.empty(config.levels, len(u), 2, dtype=torch.bfloat16, device=u.device)
-    _launch(triton_encode.encode, u, table, footprint, words(weights), words(features), config)
+    _launch(encode_kernels.encode, u, table, footprint, words(weights), words(features), config)
     return features
 
 
 def spread(
-    u: Tensor, table: Tensor, footprint: Tensor | None, d_features: Tensor, config: "GridConfig", d_weights: Tensor
+    u: Tensor, table: Tensor, footprint: Tensor | None, d_features: Tensor, config: GridConfig, d_weights: Tensor
 ) -> None:
     """Set d_weights to the gradient of the weights; float32 additions in no fixed order."""
     d_weights.zero_()
-    _launch(triton_encode.spread, u, table, footprint, words(flat(d_features)), d_weights, config)
+    _launch(encode_kernels.spread, u, table, footprint, words(flat(d_features)), d_weights, config)
 
 
 def density(features: Tensor, layers: Layers, initial: float) -> Tensor:
@@ -73,14 +72,14 @@ def shade_backward(
 def adam(weights: Tensor, mean: Tensor, square: Tensor, copy: Tensor | None, rate: float, step: int) -> None:
     """Do the step-th step of Adam."""
     count = weights.numel()
-    triton_adam.adam[-(-count // _NUMBERS),](
+    adam_kernel.adam[-(-count // _NUMBERS),](
         weights, weights.grad, mean, square, mean if copy is None else copy, count,
         rate / (1 - BETA_MEAN**step), 1 / (1 - BETA_SQUARE**step), COPY=copy is not None, BLOCK=_NUMBERS,
     )  # fmt: skip
 
 
 def _launch(  # type: ignore[no-untyped-def]
-    kernel, u: Tensor, table: Tensor, footprint: Tensor | None, source: Tensor, target: Tensor, config: "GridConfig"
+    kernel, u: Tensor, table: Tensor, footprint: Tensor | None, source: Tensor, target: Tensor, config: GridConfig
 ) -> None:
     """Run a kernel of the grid over all samples and levels."""
     kernel[len(u) // BLOCK, config.levels](
@@ -96,7 +95,7 @@ def _forward(
     count = features.shape[1]
     sigma = torch.empty(count, device=features.device)
     rgb = torch.empty(0 if harmonics is None else count, 3, device=features.device)
-    triton_mlp.forward[_programs(features.device, count // 64, 4),](
+    perceptron.forward[_programs(features.device, count // 64, 4),](
         *_inputs(features, harmonics, ray, layers), initial, sigma, rgb, count, TILE=64, num_warps=4,
         **_constants(features, layers, harmonics),
     )  # fmt: skip
@@ -121,7 +120,7 @@ def _backward(
     sizes = [layer.numel() for layer in trained]
     sums = torch.empty(programs, sum(sizes), device=features.device)
     d_features = torch.empty(features.shape, dtype=torch.bfloat16, device=features.device)
-    triton_mlp.backward[programs,](
+    perceptron.backward[programs,](
         *_inputs(features, harmonics, ray, layers), initial, d_sigma.contiguous(),
         d_sigma if d_rgb is None else d_rgb.contiguous(), words(d_features), sums, count, TILE=tile, num_warps=8,
         num_stages=1, **_constants(features, layers, harmonics),
@@ -145,7 +144,7 @@ def _constants(features: Tensor, layers: Layers, harmonics: Tensor | None) -> di
 
 
 @functools.cache
-def _shapes(config: "GridConfig", device: torch.device) -> Tensor:
+def _shapes(config: GridConfig, device: torch.device) -> Tensor:
     """Keep the levels' shapes on the device."""
     return torch.from_numpy(config.shapes).to(device)
 

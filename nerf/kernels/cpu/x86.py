@@ -13,7 +13,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from nerf.kernels.lanes import _INTS, Floats, Ints, _call, _place
+from nerf.kernels.cpu.lanes import _INTS, Floats, Ints, _call, _place
 
 _I8, _I64 = ir.IntType(8), ir.IntType(64)
 

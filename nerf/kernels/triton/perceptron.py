@@ -8,7 +8,7 @@ Equals nerf/twin/field.py with `half`.
 import triton
 import triton.language as tl
 
-from nerf.kernels.triton_encode import pack
+from nerf.kernels.triton.encode import pack
 from nerf.twin.field import LOGIT_MAX
 
 _LIMIT = tl.constexpr(LOGIT_MAX)

@@ -4,7 +4,7 @@ Features, weights, activations and their gradients are rounded to bfloat16 where
 every kind of CPU; products add up in float32. Each call is tasks of one pool; results do not depend on their order.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -12,20 +12,17 @@ from torch import Tensor
 
 from nerf.kernels.words import flat, words
 from nerf.twin.adam import BETA_MEAN, BETA_SQUARE, EPSILON
-from nerf.twin.field import Layers
+from nerf.types import GridConfig, Layers
 from priors.machine import threads
-
-if TYPE_CHECKING:
-    from nerf.grid import GridConfig
 
 STORAGE = torch.bfloat16
 BLOCK = 64
 _NONE = np.zeros(0, dtype=np.float32)
 
 
-def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: "GridConfig") -> Tensor:
+def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: GridConfig) -> Tensor:
     """Return features (levels, m, 2), bfloat16; weights bfloat16, sums float32."""
-    from nerf.kernels import encode as kernel
+    from nerf.kernels.cpu import encode as kernel
 
     features = torch.empty(config.levels, len(u), 2, dtype=torch.bfloat16)
     places, rows, out = _places(u, table, footprint, config), _words(weights).reshape(-1), _words(features)
@@ -42,10 +39,10 @@ def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, 
 
 
 def spread(
-    u: Tensor, table: Tensor, footprint: Tensor | None, d_features: Tensor, config: "GridConfig", d_weights: Tensor
+    u: Tensor, table: Tensor, footprint: Tensor | None, d_features: Tensor, config: GridConfig, d_weights: Tensor
 ) -> None:
     """Set d_weights to the gradient of the weights; a level is one task: its sums are in the samples' order."""
-    from nerf.kernels import encode as kernel
+    from nerf.kernels.cpu import encode as kernel
 
     places, gradients = _places(u, table, footprint, config), _words(flat(d_features))
     shapes, out = config.shapes, d_weights.numpy().reshape(-1)
@@ -81,7 +78,7 @@ def shade_backward(
 
 def adam(weights: Tensor, mean: Tensor, square: Tensor, copy: Tensor | None, rate: float, step: int) -> None:
     """Do the step-th step of Adam."""
-    from nerf.kernels import adam as kernel
+    from nerf.kernels.cpu import adam as kernel
 
     assert weights.grad is not None
     arrays = [tensor.view(-1).numpy() for tensor in (weights, weights.grad, mean, square)]
@@ -94,7 +91,7 @@ def adam(weights: Tensor, mean: Tensor, square: Tensor, copy: Tensor | None, rat
 def _forward(
     features: Tensor, harmonics: Tensor | None, ray: Tensor | None, layers: Layers, initial: float
 ) -> tuple[Tensor, Tensor]:
-    from nerf.kernels import perceptron
+    from nerf.kernels.cpu import perceptron
 
     count = features.shape[1]
     sigma, rgb = torch.empty(count), torch.empty(0 if ray is None else count, 3)
@@ -112,7 +109,7 @@ def _backward(
     d_sigma: Tensor,
     d_rgb: Tensor | None,
 ) -> tuple[Tensor, Layers]:
-    from nerf.kernels import perceptron
+    from nerf.kernels.cpu import perceptron
 
     d_features = torch.empty(features.shape, dtype=torch.bfloat16)
     shapes = [_padded_shape(layer) for layer in layers]
@@ -137,7 +134,7 @@ def _backward(
 
 
 def _asked(features: Tensor, harmonics: Tensor | None, ray: Tensor | None) -> Any:
-    from nerf.kernels import perceptron
+    from nerf.kernels.cpu import perceptron
 
     if harmonics is None or ray is None:
         return perceptron.Asked(_words(features), _NONE.view(np.int32), _NONE.view(np.int32))
@@ -147,7 +144,7 @@ def _asked(features: Tensor, harmonics: Tensor | None, ray: Tensor | None) -> An
 
 def _net(layers: Layers) -> Any:
     """Round the layers and cut them into tiles of 16 outputs and 32 inputs, as the products take them."""
-    from nerf.kernels import perceptron, products
+    from nerf.kernels.cpu import perceptron, products
 
     width = layers.colour1.shape[0]
     tiled = []
@@ -168,7 +165,7 @@ def _words(pairs: Tensor) -> Any:
     return words(pairs).numpy()
 
 
-def _places(u: Tensor, table: Tensor, footprint: Tensor | None, config: "GridConfig") -> tuple[Any, Any, Any]:
+def _places(u: Tensor, table: Tensor, footprint: Tensor | None, config: GridConfig) -> tuple[Any, Any, Any]:
     """Return coordinates (3, m), first rows (m,) or empty, footprints (m,) or empty."""
     base = (table * config.rows).to(torch.int32).numpy() if config.tables > 1 else _NONE.view(np.int32)
     return u.T.contiguous().numpy(), base, _NONE if footprint is None else footprint.contiguous().numpy()

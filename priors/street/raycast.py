@@ -1,4 +1,4 @@
-"""Rays against a still scene and the cars that move through it; the casting itself is Embree's."""
+"""Ray casting: rays against a still mesh and the cars that move through it, by Embree."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from priors.street.mesh import Mesh
 
 Floats = npt.NDArray[np.floating]
 Times = npt.NDArray[np.floating]
-SIGHT_M = 250.0
+BODY_RANGE_M = 250.0
 """Bodies farther than this from every ray's origin are left out, metres."""
 WANDER_M = 3.0
 """How far a body may be from its middle place within one turn of the scanner, metres."""
@@ -42,7 +42,7 @@ class Body:
     """T_world_body (n, 4, 4) at times (n,)."""
 
 
-class Scene:
+class RayCaster:
     """A still mesh and bodies, ready for rays."""
 
     def __init__(self, still: Mesh, bodies: Sequence[Body] = ()) -> None:
@@ -54,22 +54,22 @@ class Scene:
     def cast(self, origins: Floats, directions: Floats, time_s: Times | float) -> Hits:
         """Find what rays (n, 3) from (n, 3) or one origin (1, 3) meet first at their times (n,), or at one time."""
         starts = np.ascontiguousarray(np.broadcast_to(origins, directions.shape))
-        found = self._still.run(starts, directions, query="INTERSECT", output=True)
-        distance = np.where(found["primID"] >= 0, found["tfar"], np.float32(np.inf))
-        triangle, normal = found["primID"], found["Ng"]
-        weights = np.stack([found["u"], found["v"]], axis=1)
+        still = self._still.run(starts, directions, query="INTERSECT", output=True)
+        distance = np.where(still["primID"] >= 0, still["tfar"], np.float32(np.inf))
+        triangle, normal = still["primID"], still["Ng"]
+        weights = np.stack([still["u"], still["v"]], axis=1)
         for (scene, body), start in zip(self._bodies, self._starts, strict=False):
             near, T_world_body = _near(body, origins, directions, time_s, distance)
             if near.size == 0:
                 continue
             inside = _into(T_world_body, starts[near], directions[near])
-            seen = scene.run(*inside, query="INTERSECT", output=True)
-            nearer = (seen["primID"] >= 0) & (seen["tfar"] < distance[near])
-            won = near[nearer]
-            distance[won], triangle[won] = seen["tfar"][nearer], seen["primID"][nearer] + start
-            weights[won] = np.stack([seen["u"], seen["v"]], axis=1)[nearer]
+            moving = scene.run(*inside, query="INTERSECT", output=True)
+            nearer = (moving["primID"] >= 0) & (moving["tfar"] < distance[near])
+            hit = near[nearer]
+            distance[hit], triangle[hit] = moving["tfar"][nearer], moving["primID"][nearer] + start
+            weights[hit] = np.stack([moving["u"], moving["v"]], axis=1)[nearer]
             rotation = T_world_body[:, :3, :3][nearer if len(T_world_body) > 1 else slice(None)]
-            normal[won] = np.einsum("nij,nj->ni", np.broadcast_to(rotation, (len(won), 3, 3)), seen["Ng"][nearer])
+            normal[hit] = np.einsum("nij,nj->ni", np.broadcast_to(rotation, (len(hit), 3, 3)), moving["Ng"][nearer])
         return Hits(distance, triangle, weights, _towards(normal, directions))
 
     def blocked_still(self, origins: Floats, direction: Floats) -> npt.NDArray[np.bool_]:
@@ -109,7 +109,7 @@ def _near(
     if len(times) > 1:
         radius += WANDER_M
     offset = (T_world_middle[:3, :3] @ centre + T_world_middle[:3, 3]).astype(np.float32) - origins
-    if np.einsum("ni,ni->n", offset, offset).min() > SIGHT_M**2:
+    if np.einsum("ni,ni->n", offset, offset).min() > BODY_RANGE_M**2:
         return np.zeros(0, np.int64), T_world_middle[None].astype(np.float32)
     along, length2 = _dot(offset, directions), _dot(directions, directions)
     apart2 = _dot(offset, offset) - along * along / length2
@@ -117,9 +117,9 @@ def _near(
     near = (apart2 < radius**2) & (along > -reach)
     if distance is not None:
         near &= along < distance * length2 + reach
-    chosen = np.flatnonzero(near)
-    pose = body.pose(times[chosen]) if len(times) > 1 else T_world_middle[None]
-    return chosen, pose.astype(np.float32)
+    rays = np.flatnonzero(near)
+    pose = body.pose(times[rays]) if len(times) > 1 else T_world_middle[None]
+    return rays, pose.astype(np.float32)
 
 
 def _dot(a: Floats, b: Floats) -> Floats:

@@ -12,8 +12,8 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from nerf.kernels import x86
-from nerf.kernels.lanes import (
+from nerf.kernels.cpu import x86
+from nerf.kernels.cpu.lanes import (
     _F32,
     _FLOATS,
     _I32,

@@ -5,14 +5,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from nerf.kernels import composite
-from nerf.render import OPACITY_FLOOR, Gradients, Rendered
-from nerf.samples import Samples
+from nerf.kernels.cpu import composite
+from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples
 from priors.machine import threads
 
 
-def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
-    """Composite; see nerf.render.render."""
+def forward(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
+    """Composite samples near to far."""
     rays = len(samples.offsets) - 1
     each = torch.empty(3, rays)
     out = Rendered(torch.empty(rays, 3), each[0], each[1], each[2], torch.empty_like(sigma))
@@ -26,7 +25,7 @@ def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendere
 def backward(
     samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor, rendered: Rendered, gradients: Gradients
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Differentiate; see nerf.render.backward."""
+    """Return the derivatives by sigma, rgb and sky."""
     found = torch.empty_like(sigma), torch.empty_like(rgb), torch.empty_like(sky)
     arrays = (samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky)
     made = (rendered.depth_m, rendered.transmittance, rendered.weights)

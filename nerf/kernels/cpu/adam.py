@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from nerf.kernels.lanes import floats, fma, load_floats, root, round_bfloat, store, store_halves
+from nerf.kernels.cpu.lanes import floats, fma, load_floats, root, round_bfloat, store, store_halves
 from priors.machine.compiled import compiled
 
 Numbers = npt.NDArray[np.float32]

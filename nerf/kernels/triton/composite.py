@@ -6,10 +6,10 @@ Neighbouring threads walk neighbouring rays; a ray's samples share cache lines f
 import triton
 import triton.language as tl
 
-from nerf.kernels.limits import LEAST, NO_TARGET, REACH, SOFT
+from nerf.types import INTERLEVEL_SOFT, LEAST_MASS, LEAST_OPACITY, SIGHT_DEVIATIONS
 
-_LEAST, _NO_TARGET = tl.constexpr(LEAST), tl.constexpr(NO_TARGET)
-_REACH, _SOFT = tl.constexpr(REACH), tl.constexpr(SOFT)
+_LEAST_OPACITY, _LEAST_MASS = tl.constexpr(LEAST_OPACITY), tl.constexpr(LEAST_MASS)
+_SIGHT_DEVIATIONS, _INTERLEVEL_SOFT = tl.constexpr(SIGHT_DEVIATIONS), tl.constexpr(INTERLEVEL_SOFT)
 
 
 @triton.jit
@@ -76,7 +76,7 @@ def backward(  # type: ignore[no-untyped-def]
     d_rgb, d_depth, d_transmittance, d_weights, d_tau, count, d_sigma, d_colour, d_sky,
     FLOOR: tl.constexpr, RAYS: tl.constexpr,
 ):  # fmt: skip
-    """Fill d_sigma and d_colour of the rays' samples, and d_sky (count, 3), from nerf.render.Gradients."""
+    """Fill d_sigma and d_colour of the rays' samples, and d_sky (count, 3), from nerf.types.Gradients."""
     ray, real, first, last, most = _rays(offsets, count, RAYS)
     end = tl.load(transmittance + ray, mask=real, other=1.0)
     opacity = 1 - end
@@ -167,7 +167,7 @@ def kl(  # type: ignore[no-untyped-def]
         here = i < last
         half = 0.5 * tl.load(dt_m + i, mask=here, other=0.0) / norm
         total += _mass(tl.load(t + i, mask=here, other=0.0), half, centre, deviation)
-    usable = (centre > 0) & (total >= _NO_TARGET)
+    usable = (centre > 0) & (total >= _LEAST_MASS)
     share = tl.where(usable, 1 / tl.where(usable, total, 1.0), 0.0)
     optical = tl.zeros([RAYS], tl.float32)
     found = optical
@@ -177,7 +177,7 @@ def kl(  # type: ignore[no-untyped-def]
         dt = tl.load(dt_m + i, mask=here, other=0.0)
         q = share * _mass(tl.load(t + i, mask=here, other=0.0), 0.5 * dt / norm, centre, deviation)
         tau = tl.load(sigma + i, mask=here, other=0.0) * dt
-        found -= tl.where(here, q * (tl.log(tl.maximum(_stopped(tau), _LEAST)) - optical), 0.0)
+        found -= tl.where(here, q * (tl.log(tl.maximum(_stopped(tau), _LEAST_OPACITY)) - optical), 0.0)
         optical += tau
     tl.store(loss + ray, found, mask=real)
     pull = tl.load(scale + ray, mask=real, other=0.0)
@@ -191,7 +191,7 @@ def kl(  # type: ignore[no-untyped-def]
         # exp(tau) - 1; beyond 80 the quotient is nothing
         grown = _stopped(tau) * tl.exp(tl.minimum(tau, 80.0))
         given = tl.load(d_tau + i, mask=here, other=0.0)
-        tl.store(d_tau + i, given + pull * (behind - q / tl.maximum(grown, _LEAST)), mask=here)
+        tl.store(d_tau + i, given + pull * (behind - q / tl.maximum(grown, _LEAST_OPACITY)), mask=here)
         behind += q
 
 
@@ -208,9 +208,9 @@ def sight(  # type: ignore[no-untyped-def]
     for k in range(most):
         i = first + k
         place = tl.load(t + i, mask=i < last, other=0.0)
-        here = (i < last) & (centre > 0) & (place <= centre + _REACH * deviation)
+        here = (i < last) & (centre > 0) & (place <= centre + _SIGHT_DEVIATIONS * deviation)
         half = 0.5 * tl.load(dt_m + i, mask=here, other=0.0) / norm
-        near = place >= centre - _REACH * deviation
+        near = place >= centre - _SIGHT_DEVIATIONS * deviation
         target = tl.where(near, _mass(place, half, centre, deviation), 0.0)
         off = tl.load(weights + i, mask=here, other=0.0) - target
         found += tl.where(here, off * off, 0.0)
@@ -247,7 +247,7 @@ def interlevel(  # type: ignore[no-untyped-def]
             high += meets.to(tl.int64)
             meets = here & (high < end) & (tl.load(coarse_s0 + high, mask=here & (high < end), other=0.0) < stop)
         over = tl.maximum(w - bound, 0.0)
-        share = over / (w + _SOFT)
+        share = over / (w + _INTERLEVEL_SOFT)
         found += over * share
         for step in range(tl.max(high - low, axis=0).to(tl.int32)):
             place = low + step

@@ -1,4 +1,4 @@
-"""Sheets: a table of figures laid out once and typeset as text, Markdown, LaTeX or for the terminal.
+"""Typesetting: a table of figures is laid out once and written as text, Markdown, LaTeX or for the terminal.
 
 The best figure of a group of rows is bold, the second underlined. Ranks are of the figures as printed, so equals share
 a mark; a lone row has none.
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from rich import box
-from rich.table import Table
+from rich.table import Table as RichTable
 from rich.text import Text
 
 BEST, SECOND = "bold", "underline"
@@ -44,7 +44,7 @@ class Column:
 
 
 @dataclass(frozen=True, slots=True)
-class Sheet:
+class Table:
     """A table before it is typeset."""
 
     heads: tuple[str, ...]
@@ -66,14 +66,14 @@ class Sheet:
         return [line for line in (self.caption, *self.notes) if line]
 
 
-def lay(
+def lay_out(
     heads: Sequence[str],
     columns: Mapping[str, Column],
     rows: Sequence[tuple[tuple[str, ...], Mapping[str, float]]],
     caption: str = "",
     notes: Sequence[str] = (),
     group: int = 0,
-) -> Sheet:
+) -> Table:
     """Lay out rows of names and figures; rows whose first `group` names are alike, and follow, are ranked together."""
     names = [name for name, _ in rows]
     cells = [[column.write(row.get(key, math.nan)) for key, column in columns.items()] for _, row in rows]
@@ -82,7 +82,7 @@ def lay(
     for start, end in zip(starts, [*starts[1:], len(names)], strict=True):
         ranked = [rank([row[i] for row in cells[start:end]], c.higher) for i, c in enumerate(columns.values())]
         marks += [list(row) for row in zip(*ranked, strict=True)]
-    return Sheet(tuple(heads), tuple(columns.values()), names, cells, marks, caption, list(notes), tuple(starts[1:]))
+    return Table(tuple(heads), tuple(columns.values()), names, cells, marks, caption, list(notes), tuple(starts[1:]))
 
 
 def rank(cells: Sequence[str], higher: bool) -> list[str]:
@@ -92,65 +92,65 @@ def rank(cells: Sequence[str], higher: bool) -> list[str]:
     return ["" if cell == "-" else names.get(float(cell), "") for cell in cells]
 
 
-def render(sheet: Sheet, width: int | None = None) -> Table:
+def render(table: Table, width: int | None = None) -> RichTable:
     """Make a rich table; columns that do not fit into width characters are left out, last ones first, and named."""
-    figures = [max(map(len, column)) for column in zip(*sheet.cells, strict=True)] or [0] * len(sheet.columns)
-    widths = [max(len(column.label), widest) + 3 for column, widest in zip(sheet.columns, figures, strict=True)]
-    taken = sum(max(map(len, column)) + 4 for column in zip(sheet.heads, *sheet.names, strict=True)) + np.cumsum(widths)
+    figures = [max(map(len, column)) for column in zip(*table.cells, strict=True)] or [0] * len(table.columns)
+    widths = [max(len(column.label), widest) + 3 for column, widest in zip(table.columns, figures, strict=True)]
+    taken = sum(max(map(len, column)) + 4 for column in zip(table.heads, *table.names, strict=True)) + np.cumsum(widths)
     fit = len(widths) if width is None else max(1, int(np.count_nonzero(taken <= width)))
-    hidden = [f"no room for {', '.join(column.label for column in sheet.columns[fit:])}"] * (fit < len(widths))
-    caption = "\n".join([*sheet.remarks, *hidden])
-    table = Table(box=box.SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 1))
-    for head in sheet.heads:
-        table.add_column(head, no_wrap=True)
-    for column in sheet.columns[:fit]:
-        table.add_column(
+    hidden = [f"no room for {', '.join(column.label for column in table.columns[fit:])}"] * (fit < len(widths))
+    caption = "\n".join([*table.remarks, *hidden])
+    drawn = RichTable(box=box.SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 1))
+    for head in table.heads:
+        drawn.add_column(head, no_wrap=True)
+    for column in table.columns[:fit]:
+        drawn.add_column(
             f"{column.label}\n{column.unit} {column.arrow}".replace("\n ", "\n"), justify="right", no_wrap=True
         )
-    for i, (name, cells, marks) in enumerate(zip(sheet.names, sheet.cells, sheet.marks, strict=True)):
-        if i in sheet.starts:
-            table.add_section()
+    for i, (name, cells, marks) in enumerate(zip(table.names, table.cells, table.marks, strict=True)):
+        if i in table.starts:
+            drawn.add_section()
         marked = (Text.assemble((cell, mark)) for cell, mark in zip(cells[:fit], marks[:fit], strict=True))
-        table.add_row(*name, *marked)
-    return table
+        drawn.add_row(*name, *marked)
+    return drawn
 
 
-def plain(sheet: Sheet) -> str:
+def plain(table: Table) -> str:
     """Write aligned text without marks."""
-    rows = [[*sheet.heads, *(column.title for column in sheet.columns)]]
-    rows += [[*name, *cells] for name, cells in zip(sheet.names, sheet.cells, strict=True)]
+    rows = [[*table.heads, *(column.title for column in table.columns)]]
+    rows += [[*name, *cells] for name, cells in zip(table.names, table.cells, strict=True)]
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lead = len(sheet.heads)
+    lead = len(table.heads)
     lines = [
         "  ".join(c.ljust(w) if i < lead else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
         for row in rows
     ]
-    return "\n".join([*lines, *sheet.remarks]) + "\n"
+    return "\n".join([*lines, *table.remarks]) + "\n"
 
 
-def markdown(sheet: Sheet) -> str:
+def markdown(table: Table) -> str:
     """Write a Markdown table."""
     wrap = {BEST: "**{}**", SECOND: "<u>{}</u>", "": "{}"}
     lines = [
-        _bar([*sheet.heads, *(column.title for column in sheet.columns)]),
-        f"|{'---|' * len(sheet.heads)}{'---:|' * len(sheet.columns)}",
+        _bar([*table.heads, *(column.title for column in table.columns)]),
+        f"|{'---|' * len(table.heads)}{'---:|' * len(table.columns)}",
     ]
-    for name, cells, marks in zip(sheet.names, sheet.cells, sheet.marks, strict=True):
+    for name, cells, marks in zip(table.names, table.cells, table.marks, strict=True):
         marked = [wrap[mark].format(cell) for cell, mark in zip(cells, marks, strict=True)]
         lines.append(_bar([*(part.replace("|", "\\|") for part in name), *marked]))
-    return "\n".join([*lines, "", *(f"{line}  " for line in sheet.remarks)]) + "\n"
+    return "\n".join([*lines, "", *(f"{line}  " for line in table.remarks)]) + "\n"
 
 
-def latex(sheet: Sheet) -> str:
+def latex(table: Table) -> str:
     """Write a LaTeX table; needs the booktabs package."""
     wrap = {BEST: r"\textbf{{{}}}", SECOND: r"\underline{{{}}}", "": "{}"}
-    head = " & ".join([*map(tex, sheet.heads), *(tex(column.title) for column in sheet.columns)])
-    lines = [r"% \usepackage{booktabs}", *(f"% {line}" for line in sheet.remarks)]
-    shape = "l" * len(sheet.heads) + "r" * len(sheet.columns)
+    head = " & ".join([*map(tex, table.heads), *(tex(column.title) for column in table.columns)])
+    lines = [r"% \usepackage{booktabs}", *(f"% {line}" for line in table.remarks)]
+    shape = "l" * len(table.heads) + "r" * len(table.columns)
     lines += [rf"\begin{{tabular}}{{{shape}}}", r"\toprule", rf"{head} \\", r"\midrule"]
-    for i, (name, cells, marks) in enumerate(zip(sheet.names, sheet.cells, sheet.marks, strict=True)):
+    for i, (name, cells, marks) in enumerate(zip(table.names, table.cells, table.marks, strict=True)):
         marked = [wrap[mark].format(cell) for cell, mark in zip(cells, marks, strict=True)]
-        lines += [r"\midrule"] * (i in sheet.starts)
+        lines += [r"\midrule"] * (i in table.starts)
         lines.append(" & ".join([*map(tex, name), *marked]) + r" \\")
     return "\n".join([*lines, r"\bottomrule", r"\end{tabular}"]) + "\n"
 

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from nerf.kernels.limits import LEAST, NO_TARGET, REACH, SOFT
+from nerf.types import INTERLEVEL_SOFT, LEAST_MASS, LEAST_OPACITY, SIGHT_DEVIATIONS
 from priors.machine.compiled import FAST, compiled
 
 
@@ -42,7 +42,7 @@ def backward(  # type: ignore[no-untyped-def]
     offsets, sigma, colour, t, dt_m, sky, floor, depth_m, transmittance, weights,
     d_rgb, d_depth, d_transmittance, d_weights, d_tau, d_sigma, d_colour, d_sky, first_ray, last_ray,
 ):  # fmt: skip
-    """Fill d_sigma (m,), d_colour (m, 3) and d_sky (r, 3) from the losses' gradients (nerf.render.Gradients)."""
+    """Fill d_sigma (m,), d_colour (m, 3) and d_sky (r, 3) from the losses' gradients (nerf.types.Gradients)."""
     for ray in range(first_ray, last_ray):
         end = float(transmittance[ray])
         opacity = 1.0 - end
@@ -113,14 +113,14 @@ def kl(  # type: ignore[no-untyped-def]
         for i in range(first, last):
             half = 0.5 * dt_m[i] / norms[ray]
             total += _mass(t[i] - half, t[i] + half, depth_m[ray], deviation_m[ray])
-        if total < NO_TARGET:
+        if total < LEAST_MASS:
             continue
         optical, found = 0.0, 0.0
         for i in range(first, last):
             half = 0.5 * dt_m[i] / norms[ray]
             q = _mass(t[i] - half, t[i] + half, depth_m[ray], deviation_m[ray]) / total
             tau = float(sigma[i]) * dt_m[i]
-            found -= q * (np.log(max(-np.expm1(-tau), LEAST)) - optical)
+            found -= q * (np.log(max(-np.expm1(-tau), LEAST_OPACITY)) - optical)
             optical += tau
         loss[ray] = found
         behind = 0.0
@@ -128,7 +128,7 @@ def kl(  # type: ignore[no-untyped-def]
             half = 0.5 * dt_m[k] / norms[ray]
             q = _mass(t[k] - half, t[k] + half, depth_m[ray], deviation_m[ray]) / total
             tau = float(sigma[k]) * dt_m[k]
-            d_tau[k] += scale[ray] * (behind - q / max(np.expm1(tau), LEAST))
+            d_tau[k] += scale[ray] * (behind - q / max(np.expm1(tau), LEAST_OPACITY))
             behind += q
 
 
@@ -141,7 +141,7 @@ def sight(  # type: ignore[no-untyped-def]
         loss[ray] = 0.0
         if depth_m[ray] <= 0.0:
             continue
-        reach = REACH * deviation_m[ray]
+        reach = SIGHT_DEVIATIONS * deviation_m[ray]
         for i in range(offsets[ray], offsets[ray + 1]):
             if t[i] > depth_m[ray] + reach:
                 continue
@@ -173,7 +173,7 @@ def interlevel(  # type: ignore[no-untyped-def]
                 high += 1
             over = weights[i] - bound
             if over > 0.0:
-                share = over / (weights[i] + SOFT)
+                share = over / (weights[i] + INTERLEVEL_SOFT)
                 found += over * share
                 for j in range(low, high):
                     d_coarse[j] -= scale[ray] * 2.0 * share

@@ -5,20 +5,19 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from nerf.render import Gradients, Rendered
-from nerf.samples import Samples
 from nerf.twin import render as twin
+from nerf.types import Gradients, Rendered, Samples
 
 
-def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
-    """Composite; see nerf.render.render."""
+def forward(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
+    """Composite samples near to far."""
     return twin.render(samples, sigma, rgb, sky)
 
 
 def backward(
     samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor, rendered: Rendered, gradients: Gradients
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Differentiate by running the twin again under autograd; see nerf.render.backward."""
+    """Return the derivatives by sigma, rgb and sky: the twin once more, under autograd."""
     with torch.enable_grad():
         inputs = [x.detach().requires_grad_() for x in (sigma, rgb, sky)]
         again = twin.render(samples, *inputs)

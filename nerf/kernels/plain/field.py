@@ -1,29 +1,24 @@
 """The field's functions by the twin and its autograd: any device, no compiler."""
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
 from nerf.twin import adam as twin_adam
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
-from nerf.twin.field import Layers
-
-if TYPE_CHECKING:
-    from nerf.grid import GridConfig
+from nerf.types import GridConfig, Layers
 
 STORAGE = torch.float32
 BLOCK = 1
 
 
-def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: "GridConfig") -> Tensor:
+def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: GridConfig) -> Tensor:
     """Return features (levels, m, 2)."""
     return twin_encode.encode(u, table, footprint, weights, config)
 
 
 def spread(
-    u: Tensor, table: Tensor, footprint: Tensor | None, d_features: Tensor, config: "GridConfig", d_weights: Tensor
+    u: Tensor, table: Tensor, footprint: Tensor | None, d_features: Tensor, config: GridConfig, d_weights: Tensor
 ) -> None:
     """Set d_weights to the gradient of the weights."""
     with torch.enable_grad():
