@@ -9,6 +9,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = [
     "eval",
     "priors/errors",
+    "priors/extensions",
     "priors/types",
     "priors/codecs",
     "priors/machine",
