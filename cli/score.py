@@ -1,28 +1,31 @@
 """`priors eval`: score cached maps against the drive's truth."""
 
+import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import tyro
 from rich.markup import escape
 
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
+from cli.show import compare
 from eval import table
 from eval.curves import Curves, Metric, ScoredPixels, best, curves, join
 from eval.protocol import PRESETS, Protocol, ScoreError, preset
 from eval.result import Comparison, Result, score
-from priors import cache, codecs
+from priors import cache
 from priors.build import select
 from priors.cache import Prior
-from priors.draw.plot import Line, plot
-from priors.errors import DataError
+from priors.draw import figure, lines
+from priors.errors import DataError, UsageError
 from priors.naming import labels
-from priors.types import Drive, Image
+from priors.report.page import SUFFIX, Picture
+from priors.report.scores import scores_page, sparsification
+from priors.types import Drive
 
 EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior.
 metrics.json is written beside the maps.
@@ -30,7 +33,8 @@ metrics.json is written beside the maps.
 examples:
   priors eval cache/
   priors eval cache/ --protocol garg --frames 5:17 --save table.md
-  priors eval cache/DRIVE/stereo-KEY --truth KITTI/depth --ranges --curves curves.png
+  priors eval cache/ --save report.html                      a page with table, plots and pictures
+  priors eval cache/DRIVE/stereo-KEY --truth KITTI/depth --ranges --curves curves.svg
   priors eval cache/ --against cache/DRIVE/lidar-KEY         another prior as truth
   priors eval a/metrics.json b/metrics.json --save table.tex  a table of results made before
 """
@@ -38,6 +42,10 @@ examples:
 
 STUDY_SHARE = 0.9228
 """The density of the study's confidence-filtered stereo maps."""
+PICTURED = 4
+"""Frames whose maps are on a report page."""
+TILE_PX = 400
+"""Width of each map there."""
 
 
 @dataclass(frozen=True)
@@ -63,28 +71,52 @@ class ScoreArguments:
     ranges: bool = False
     """Also print AbsRel and RMSE by true distance."""
     curves: Path | None = None
-    """Also draw the sparsification curves of priors with a confidence into this picture."""
+    """Also plot the sparsification curves of priors with a confidence: .png, .svg or .pdf."""
     save: tuple[Path, ...] = ()
-    """Also write the table: .md, .tex, .csv or .txt, as many as wanted."""
+    """Also write the table: .md, .tex, .csv, .txt, or .html, a report page; as many as wanted."""
+
+    def __post_init__(self) -> None:
+        for path in self.save:
+            if path.suffix not in (*table.WRITERS, SUFFIX):
+                raise UsageError(f"--save {path}: expected a name that ends in {', '.join((*table.WRITERS, SUFFIX))}")
+        if self.curves is not None:
+            figure.check_name(self.curves)
+
+    @property
+    def pages(self) -> bool:
+        """Whether a report page is wanted."""
+        return any(path.suffix == SUFFIX for path in self.save)
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What was found out about the priors of one drive."""
+
+    results: list[Result]
+    curves: dict[str, list[Curves]] = field(default_factory=dict)
+    """By a prior's name, of those with a confidence, where curves were asked for."""
+    pictures: list[Picture] = field(default_factory=list)
+    """Where a page was asked for."""
 
 
 def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ScoreArguments, "priors eval", EXAMPLES, arguments)
+    command = shlex.join(["priors", "eval", *arguments])
     files = [path for path in args.caches if path.suffix == ".json"]
     priors = [prior for path in args.caches if path not in files for prior in _with_maps(path)]
     drives = [list(together) for _, together in groupby(sorted(priors, key=drive_key), key=drive_key)]
     several = len(drives) + bool(files) > 1
     if files:
-        _report([Result.load(path) for path in files], args, several)
-    failed = [together for together in drives if not _try_drive(together, args, several)]
+        _report(Scores([Result.load(path) for path in files]), args, several, command)
+    failed = [together for together in drives if not _try_drive(together, args, several, command)]
     return DATA_ERROR if failed else 0
 
 
-def _try_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> bool:
+def _try_drive(priors: list[Prior], args: ScoreArguments, several: bool, command: str) -> bool:
     """Score and print one drive; where it cannot be scored and there are others, say why and go on."""
     try:
-        _report(_score_drive(priors, args, several), args, several)
+        _report(_score_drive(priors, args), args, several, command)
     except (DataError, ScoreError) as error:
         if not several:
             raise
@@ -112,34 +144,43 @@ def _protocol(args: ScoreArguments) -> Protocol:
     return replace(protocol, **{name: value for name, value in changes.items() if value is not None})  # type: ignore[arg-type]
 
 
-def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> list[Result]:
+def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scores:
     """Score the priors of one drive."""
     drive = reopen_drive(priors[0], args.truth)
     reference = None if args.against is None else cache.only(args.against)
     protocol = _protocol(args)
-    results, drawn = [], []
-    for prior, name in zip(priors, labels(priors), strict=True):
+    names = labels(priors)
+    scores = Scores([], {}, _pictures(drive, priors, names, args.frames) if args.pages else [])
+    for prior, name in zip(priors, names, strict=True):
         ids = _scored_ids(prior, drive, reference, args.frames)
         fx_baseline = _fx_baseline(drive)
         info = {"prior": name, "drive": drive.name, "folder": prior.name}
         parts: list[ScoredPixels] = []
-        wants_curves = args.curves is not None and (prior.folder / "confidence").is_dir()
+        wants_curves = (args.curves is not None or args.pages) and (prior.folder / "confidence").is_dir()
         with progress(name, len(ids)) as step:
             frames = _pairs(prior, drive, reference, ids, step)
             result = score(frames, protocol, fx_baseline, info, parts.append if wants_curves else None)
         result.save(prior.folder / "metrics.json")
-        results.append(result)
+        scores.results.append(result)
         if wants_curves:
             samples = join(parts)
-            made = _curves(samples, fx_baseline)
-            drawn.append(sparsification(name, made))
+            scores.curves[name] = _curves(samples, fx_baseline)
             out.print(_best_share(name, samples, fx_baseline))
-            out.print(_areas(name, made))
-    if drawn and args.curves is not None:
-        path = args.curves.with_name(f"{args.curves.stem}-{drive.name}{args.curves.suffix}") if several else args.curves
-        codecs.write_image(path, np.concatenate(drawn))
-        out.print(f"wrote {path}")
-    return results
+            out.print(_areas(name, scores.curves[name]))
+    return scores
+
+
+def _pictures(drive: Drive, priors: Sequence[Prior], names: Sequence[str], frames: str | None) -> list[Picture]:
+    """Draw the maps of some frames that are spread evenly over those with maps."""
+    cached = {id_ for prior in priors for id_ in prior.ids()}
+    chosen = [index for index in select(drive.ids, frames) if drive.ids[index] in cached]
+    step = max(1, len(chosen) // PICTURED)
+    pictures = []
+    for index in chosen[step // 2 :: step][:PICTURED]:
+        frame = drive[index]
+        rows = [(name, prior.read(frame.id)) for name, prior in zip(names, priors, strict=True) if prior.has(frame.id)]
+        pictures.append(Picture(f"frame {frame.id}", compare(frame, rows, TILE_PX)))
+    return pictures
 
 
 def _scored_ids(prior: Prior, drive: Drive, reference: Prior | None, frames: str | None) -> list[str]:
@@ -181,20 +222,6 @@ def _curves(samples: ScoredPixels, fx_baseline: float | None) -> list[Curves]:
     return [curves(samples, metric, fx_baseline) for metric in metrics]
 
 
-def sparsification(name: str, made: Sequence[Curves]) -> Image:
-    """Draw how a prior's errors fall as the least confident pixels are dropped, one plot a metric."""
-    plots = []
-    for curve in made:
-        lines = [
-            Line("by confidence", curve.kept, curve.by_confidence),
-            Line("farthest first", curve.kept, curve.farthest_first),
-            Line("oracle", curve.kept, curve.oracle, dashed=True),
-        ]
-        column = table.COLUMNS[curve.metric]
-        plots.append(plot(lines, "share of the pixels kept", f"{column.label} {column.unit}".strip(), name))
-    return np.concatenate(plots, axis=1)
-
-
 def _areas(name: str, made: Sequence[Curves]) -> str:
     """Say how far each curve lies from the oracle's, beside the trivial confidence."""
     texts = [
@@ -225,14 +252,25 @@ def _print_ranges(results: Sequence[Result]) -> None:
         out.print(f"{result.name}: AbsRel, RMSE by range: {'; '.join(parts)}")
 
 
-def _report(results: Sequence[Result], args: ScoreArguments, several: bool) -> None:
+def _report(scores: Scores, args: ScoreArguments, several: bool, command: str) -> None:
     """Print one drive's table and write what was asked for."""
+    results = scores.results
     drive = str(results[0].info.get("drive", ""))
+
+    def own(path: Path) -> Path:
+        return path.with_name(f"{path.stem}-{drive}{path.suffix}") if several and drive else path
+
     out.print(f"[bold]{drive}[/]")
     table.show(results, args.metrics, out)
     if args.ranges:
         _print_ranges(results)
+    if args.curves is not None and scores.curves:
+        plots = [plot for name, made in scores.curves.items() for plot in sparsification(name, made)]
+        lines.write(own(args.curves), plots, max(map(len, scores.curves.values())))
+        out.print(f"wrote {own(args.curves)}")
     for path in args.save:
-        path = path.with_name(f"{path.stem}-{drive}{path.suffix}") if several and drive else path
-        table.save(results, path)
-        out.print(f"wrote {path}")
+        if path.suffix == SUFFIX:
+            scores_page(results, args.metrics, scores.curves, scores.pictures, command).write(own(path))
+        else:
+            table.save(results, own(path))
+        out.print(f"wrote {own(path)}")

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -12,10 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from priors import cache
+from priors import cache, keys
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.records import record
 from priors.sky import VERSION as SKY_VERSION
 from priors.types import Depth, Drive, Frame, Method
 
@@ -60,28 +61,32 @@ class Report:
 
 
 def prepare(drive: Drive, method_name: str, method: Method, filters: Filters, folder: Path) -> tuple[Prior, Method]:
-    """Decide every 'auto' and open the prior's place in the cache; nothing is computed.
+    """Decide every 'auto' and open the prior's place in the cache; no map is made.
 
     Returns:
         The prior, and the method with its config resolved.
     """
     frame = _first_readable(drive)
     method = method.resolve(frame)
-    decides = {
+    manifest = {
         "format": cache.FORMAT,
         "code": version("roadprior"),
         "method": method_name,
-        "config": _record(method),
+        "version": method.VERSION,
+        "config": record(method),
         "filters": filters.record(),
         "sky": SKY_VERSION,
         "weights": _weights_digest(method),
         "fingerprint": drive.fingerprint(),
         "maps": _maps_digest(frame, {*method.reads, *filters.reads}),
         "camera": {"K": frame.camera.K.tolist(), "size": list(frame.camera.size), "baseline_m": frame.baseline_m},
+        "encoding": "kitti",
+        "drive": {"name": drive.name, **drive.describe()},
     }
-    key = cache.key_of(decides)
-    manifest = {**decides, "key": key, "encoding": "kitti", "drive": {"name": drive.name, **drive.describe()}}
-    return Prior(folder / drive.name / f"{method_name}-{key}", manifest), method
+    earlier = keys.find(folder / drive.name, manifest, type(method))
+    key = keys.key(manifest, type(method)) if earlier is None else earlier.manifest["key"]
+    home = folder / drive.name / f"{method_name}-{key}" if earlier is None else earlier.folder
+    return Prior(home, {**manifest, "key": key}), method
 
 
 def plan(drive: Drive, prior: Prior, reads: Sequence[str], selection: Selection) -> Plan:
@@ -136,7 +141,7 @@ def build(
     make: Callable[[Frame], Depth] = method
     if hasattr(method, "prepare"):
         make = method.prepare(drive, prior.folder.parent / "weights", on_note)
-    cache.create(prior.folder.parent.parent, prior.manifest)
+    cache.create(prior.folder, prior.manifest)
     prior.drop_stale()
     report = Report(prior, plan_, failed=dict(plan_.failed))
     writing = threading.Lock()
@@ -221,12 +226,6 @@ def _first_readable(drive: Drive) -> Frame:
         except DataError as found:
             error = found
     raise error
-
-
-def _record(method: Method) -> dict[str, Any]:
-    """Return a method's fields; of a file only the name, since what it holds decides and not where it lies."""
-    fields: dict[str, Any] = asdict(method)  # type: ignore[call-overload]
-    return {name: value.name if isinstance(value, Path) else value for name, value in fields.items()}
 
 
 def _weights_digest(method: Method) -> str | None:

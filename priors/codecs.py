@@ -42,9 +42,14 @@ def read_image(path: Path) -> Image:
 
 def write_image(path: Path, image: Image, quality: int = 95) -> None:
     """Write an 8-bit RGB or grey image; the suffix (.png, .jpg) names the format."""
+    write_bytes(path, encode_image(path, image, quality))
+
+
+def encode_image(path: Path, image: Image, quality: int = 95) -> bytes:
+    """Return the bytes of an image's file; path's suffix names the format, and errors name the path."""
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if path.suffix.lower() in (".jpg", ".jpeg") else []
     pixels = image if image.ndim == 2 else image[..., ::-1]
-    write_bytes(path, _encode(path, pixels, options))
+    return _encode(path, pixels, options)
 
 
 def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:

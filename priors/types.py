@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, Self, TypeAlias
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -178,6 +178,9 @@ class Drive(Protocol):
 
 class Method(Protocol):
     """A way to make depth: a frozen dataclass whose fields are flags, cache key and record."""
+
+    VERSION: ClassVar[int]
+    """Part of the cache's key: raised when the method's maps change, and only then. Rounding is no change."""
 
     @property
     def reads(self) -> tuple[str, ...]:

@@ -1,5 +1,6 @@
 """`nerf`'s commands from fit to export on a tiny street, and what they say of bad input: one line, nothing lost."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -67,6 +68,17 @@ def test_eval_sets_runs_side_by_side(home: Path, tmp_path: Path, capsys: pytest.
     assert "wrote 1 pictures" in capsys.readouterr().out
     picture = codecs.read_image(tmp_path / "pictures" / f"{HELD_OUT}.jpg")
     assert picture.shape[1] > 3 * 450
+
+
+def test_eval_writes_a_report_page(home: Path, tmp_path: Path) -> None:
+    run = home / "runs" / "prior"
+    assert nerf("eval", run, run, "--save", tmp_path / "new" / "page.html", tmp_path / "t.txt") == 0
+    page = (tmp_path / "new" / "page.html").read_text()
+    figures = re.findall(r"\d+\.\d{2,}", (tmp_path / "t.txt").read_text().split("paper:")[0])
+    assert len(figures) >= 8 and all(f">{figure}</td>" in page for figure in figures)
+    assert page.count("data:image/jpeg;base64,") == 1, "one view is held out"
+    assert "nerf eval" in page and str(prior_of(home).resolve()) in page
+    assert "<dt>budget</dt>\n<dd>3 steps</dd>" in page
 
 
 def test_new_poses_are_rendered(home: Path, tmp_path: Path) -> None:

@@ -193,7 +193,8 @@ def test_every_format_is_written_with_its_commands(tmp_path):
     outcomes = made(study, tmp_path)
     typed = "nerf study DATA --priors cache/wall/*"
     paths = save(outcomes, tmp_path, typed)
-    assert [path.name for path in paths] == ["table.md", "table.tex", "table.txt", "table.csv", "density.png"]
+    tables = ["table.md", "table.tex", "table.txt", "table.csv"]
+    assert [path.name for path in paths] == [*tables, "density.png", "density.svg", "density.pdf", "report.html"]
     markdown, latex, plain, table = (path.read_text() for path in paths[:4])
     assert markdown.startswith("| field | views | prior | density | PSNR dB ↑ |")
     assert "| ngp | dense | lidar-0123456789 | all | **24.00** |" in markdown
@@ -208,7 +209,11 @@ def test_every_format_is_written_with_its_commands(tmp_path):
     assert rows[1]["prior"] == LIDAR
     assert float(rows[1]["psnr"]) == pytest.approx(quality(study.runs()[1])[0])
     assert rows[1]["truth"] == "annotated"
-    assert cv2.imread(str(paths[4])).shape == (800, 640, 3)  # dense, sparse
+    height, width, _ = cv2.imread(str(paths[4])).shape
+    assert height > width, "two plots, one above the other: dense and sparse views"
+    page = paths[7].read_text()
+    assert page.count("<svg") == 1
+    assert all(line in page for line in [typed, *fits])
     assert commands(outcomes, typed)[0] == typed
 
 

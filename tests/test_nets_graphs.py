@@ -118,7 +118,6 @@ def network(name: str, size: str) -> nn.Module:
 @pytest.mark.parametrize(("name", "size"), [("bts", "s"), ("bts", "m"), ("mffnet", "s")])
 @pytest.mark.parametrize("shape", [(64, 96), (45, 70)])
 def test_onnx_equals_torch(name: str, size: str, shape: tuple[int, int]) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     given = graphs.FORMS[name].examples(*shape)
     exact = runtime.make_ready(network(name, size), "fp32")(*given)
     found = graphs.Portable(runtime.make_ready(network(name, size), "onnx"), name)(*given)
@@ -129,7 +128,6 @@ def test_onnx_equals_torch(name: str, size: str, shape: tuple[int, int]) -> None
 
 
 def test_graphs_are_kept_a_size_and_hold_the_header() -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     ready = runtime.make_ready(network("mffnet", "s"), "onnx", {"net": "mffnet"})
     net = graphs.Portable(ready, "mffnet")
     for width in (32, 64, 32):
@@ -141,7 +139,6 @@ def test_graphs_are_kept_a_size_and_hold_the_header() -> None:
 
 @pytest.mark.parametrize(("name", "size"), [("bts", "s"), ("mffnet", "s")])
 def test_the_command_writes_a_file_that_opens(name: str, size: str, tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     from priors.nets.export import export
 
     file, out = tmp_path / "a.safetensors", tmp_path / "a.onnx"
@@ -153,7 +150,6 @@ def test_the_command_writes_a_file_that_opens(name: str, size: str, tmp_path: Pa
 
 
 def test_the_methods_run_in_onnxruntime(tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     from priors.methods._mono_network import estimate, open_network
 
     rng = np.random.default_rng(0)

@@ -205,7 +205,6 @@ def test_weights_need_a_network() -> None:
 
 
 def test_onnx_gives_the_same_depth(tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     from priors import codecs
     from priors.nets.export import to_onnx
 

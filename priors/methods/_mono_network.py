@@ -1,18 +1,18 @@
 """Our single-image network: loaded, run on a frame, and adapted to a drive."""
 
 from collections.abc import Callable
-from dataclasses import asdict
 from pathlib import Path
 
 import torch
 
 from priors.adapt.finetune import AdaptConfig, adapt
-from priors.cache import key_of
 from priors.errors import DataError
+from priors.keys import key_of
 from priors.methods._mono_supervision import Lesson
 from priors.nets import runtime, weights
 from priors.nets.graphs import Portable, open_portable
 from priors.nets.runtime import Ready, Runtime
+from priors.records import original, record
 from priors.types import Camera, Drive, FloatMap, Image
 
 NAME = "bts"
@@ -68,7 +68,7 @@ def adapted_weights(
         "drive": drive.fingerprint(),
         "frames": lesson.frames,
         "known": lesson.decides,
-        "config": asdict(config),
+        "config": original(AdaptConfig, record(config)),
     }
     path = folder / f"mono-{key_of(decides)}.safetensors"
     if path.is_file():

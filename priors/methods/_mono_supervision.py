@@ -1,7 +1,7 @@
 """What a drive's training frames teach the single-image network: chosen, put into the key, read when needed."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from priors.adapt.video_supervision import LEARNING_RATE, Video, read_clip
 from priors.adapt.views import View, label_sky
 from priors.errors import DataError
 from priors.methods._reference import Known
+from priors.records import original, record
 from priors.types import Drive, Frame, Matrix
 
 
@@ -41,7 +42,7 @@ def by_depth(drive: Drive, indices: Sequence[int], known: Known) -> Lesson:
     def read(start: nn.Module, bf16: bool) -> Supervision:
         return Measured(gather(drive, picked, lambda index: as_view(drive[index], known), known.source))
 
-    return Lesson(f"{known.source} depth", [drive.ids[index] for index in picked], asdict(known), read)
+    return Lesson(f"{known.source} depth", [drive.ids[index] for index in picked], original(Known, record(known)), read)
 
 
 def by_video(drive: Drive, indices: Sequence[int]) -> Lesson:

@@ -16,7 +16,7 @@ All lengths are in units of the samples' own spacing, so that 64 lines, 8 lines 
 import threading
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import cv2
 import numpy as np
@@ -70,6 +70,9 @@ class Completion:
     """What runs the network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     weights: Path | None = None
     """Your own weights for the network, .safetensors; default: those that come with the package."""
+
+    VERSION: ClassVar[int] = 0 + Lidar.VERSION
+    """Raised with lidar's, whose maps it fills: a sum, so that either makes a new one."""
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.guidance) and self.guidance >= 0 and self.reach_px >= 0):

@@ -9,7 +9,7 @@ The windows are angles: what separates a 64-line scanner's samples, turned into 
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import cv2
 import numpy as np
@@ -47,6 +47,8 @@ class Lidar:
     """Drop points of other sweeps that the frame's own sweep looks past: what moved."""
     stereo: bool = True
     """Drop points that the stereo pair contradicts, where the drive has a second camera."""
+
+    VERSION: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
         if self.sweeps < 1:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, ClassVar, Literal, Self
 
 import numpy as np
 
@@ -58,6 +58,9 @@ class Mono:
     frames: str | None = None
     """Range a:b of the frames to adapt and align on, as --frames; hold_out counts inside it. Default: the whole drive,
     whatever --frames says."""
+
+    VERSION: ClassVar[int] = 1
+    """To be raised too where what it learns from or is aligned to changes: the maps of lidar and stereo."""
 
     def __post_init__(self) -> None:
         if not 0 < self.adapt_s < float("inf"):

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
@@ -46,6 +46,8 @@ class Stereo:
     from the images alone."""
     scale: float | None = None
     """See offset-px. Default: measured with it; 1 where the offset is given."""
+
+    VERSION: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
         if self.max_disparity_px is not None and self.max_disparity_px < 1:

@@ -32,6 +32,7 @@ from stereo_contestants import sgbm
 from priors import codecs
 from priors.drives import DriveOptions, open_drive
 from priors.machine import cpu
+from priors.machine.memory import keep_freed
 from priors.methods.completion import Completion
 from priors.methods.mono import Mono
 from priors.methods.stereo import Stereo
@@ -103,6 +104,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Return SGBM's milliseconds and each network's times over it, after one run each that is not counted."""
     import torch
 
+    cpu.hold_down()
+    keep_freed()
     if options.processor_time:  # before anything has run on more: idle threads of OpenMP burn processor time
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
