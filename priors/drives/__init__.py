@@ -15,6 +15,8 @@ from typing import Any
 
 from priors import extensions
 from priors.drives._camera_drive import CameraDrive as CameraDrive
+from priors.drives._files import first_size as first_size
+from priors.drives._files import stems as stems
 from priors.errors import DataError
 from priors.types import Drive
 
