@@ -17,7 +17,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from cli.compiling import Column, Watch
+from cli.compiling import CompilingColumn, Watch
 from priors.errors import DataError, UsageError
 
 PIPE_WIDTH = 160
@@ -55,7 +55,7 @@ def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
     """Show a progress bar; while it moves, what is compiled stands in its last column."""
     watch.bar_begins()
     try:
-        with Progress(*columns, Column(watch), console=err) as bar:
+        with Progress(*columns, CompilingColumn(watch), console=err) as bar:
             yield bar
     finally:
         watch.bar_ends()
