@@ -72,7 +72,7 @@ class StereoArguments(RunArguments):
     cache: Path | None = None
     """Where prepared real data is kept; default: `real` beside the samples."""
     teacher: Path | None = None
-    """Folder of a teacher's maps of the odometry frames, see `python -m priors.learn.teach --help`."""
+    """Folder of a teacher's maps of the odometry frames, see `python -m priors.learn.teacher_labels --help`."""
 
 
 @dataclass(frozen=True)
@@ -122,7 +122,7 @@ def run(arguments: list[str]) -> int:
 
 def render_samples(args: SamplesArguments) -> None:
     """Render samples of procedural streets."""
-    from priors.learn.render import render
+    from priors.learn.street_samples import render
 
     with progress("samples", args.count) as step:
         render(args.out, args.count, step, args.part)
@@ -179,7 +179,7 @@ def train_network(args: RunArguments, task: "Task", net: str) -> None:
 
 def pack(args: PackArguments) -> None:
     """Write a run's best weights as a file that methods take."""
-    from priors.learn.pack import pack_run
+    from priors.learn.checkpoint import pack_run
 
     pack_run(args.run, args.out)
     out.print(f"wrote {args.out} ({args.out.stat().st_size / 1e6:.1f} MB)")
@@ -187,7 +187,7 @@ def pack(args: PackArguments) -> None:
 
 def calibrate(args: CalibrateArguments) -> None:
     """Fit a stereo network's confidence to its errors on what training held back."""
-    from priors.learn.confidence import calibrate_file
+    from priors.learn.confidence_calibration import calibrate_file
 
     for line in calibrate_file(args.file, args.street, args.real, args.cache):
         out.print(line)

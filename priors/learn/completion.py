@@ -16,8 +16,8 @@ from priors.adapt.batch import Batch
 from priors.draw.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
 from priors.learn import scans
-from priors.learn.accumulated import Drive
-from priors.learn.scans import Scene, Shown, Streets
+from priors.learn.accumulated_lidar import Drive
+from priors.learn.lidar_scene import Scene, Shown, Streets
 from priors.methods.completion import EVERYWHERE_PX, complete
 from priors.nets.mffnet import Completed, Mffnet
 from priors.types import FloatMap, Image

@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from priors import codecs
 from priors.drives import open_drive
 from priors.nets import weights
-from priors.nets.int8 import Range, beside, candidates
+from priors.nets.int8 import ActivationRange, beside, candidates
 from priors.nets.runtime import as_input, open_net
 
 TAIL = 1e-5
@@ -26,16 +26,16 @@ TAIL = 1e-5
 
 
 @contextmanager
-def watched(net: nn.Module) -> Iterator[dict[str, Range]]:
+def watched(net: nn.Module) -> Iterator[dict[str, ActivationRange]]:
     """Widen the ranges of the candidates' inputs by what runs through a plain network inside."""
-    found: dict[str, Range] = {}
+    found: dict[str, ActivationRange] = {}
 
     def look(name: str) -> Any:
         def hook(layer: nn.Module, inputs: tuple[Tensor, ...]) -> None:
             some = inputs[0].float().flatten()[:: max(1, inputs[0].numel() // 2_000_000)]
             low, high = (float(torch.quantile(some, share)) for share in (TAIL, 1 - TAIL))
-            before = found.get(name, Range(0, 0))
-            found[name] = Range(min(before.low, low), max(before.high, high))
+            before = found.get(name, ActivationRange(0, 0))
+            found[name] = ActivationRange(min(before.low, low), max(before.high, high))
 
         return hook
 
@@ -47,7 +47,9 @@ def watched(net: nn.Module) -> Iterator[dict[str, Range]]:
             hook.remove()
 
 
-def measure(net: str, size: str, pairs: Iterable[tuple[Tensor, Tensor]], file: Path | None = None) -> dict[str, Range]:
+def measure(
+    net: str, size: str, pairs: Iterable[tuple[Tensor, Tensor]], file: Path | None = None
+) -> dict[str, ActivationRange]:
     """Return the ranges on pairs (1, 3, h, w) in [0, 1]."""
     ready = open_net(net, size, "onnx", file)  # plain, float32
     with watched(ready.net) as found:

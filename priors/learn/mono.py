@@ -21,7 +21,7 @@ from priors.draw.colours import colour_depth, thicken
 from priors.drives import DriveOptions
 from priors.filters import Filters
 from priors.learn import sample as samples
-from priors.learn.scans import Streets
+from priors.learn.lidar_scene import Streets
 from priors.methods._reference import trusted
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo

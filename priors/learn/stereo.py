@@ -18,9 +18,9 @@ from torch import Tensor, nn
 from priors.adapt.batch import Batch
 from priors.adapt.objective import masked_mean
 from priors.draw.colours import colour_depth
-from priors.learn.data import collate
-from priors.learn.pair import Item
-from priors.nets.outputs import Matched, StereoOut
+from priors.learn.stereo_data import collate
+from priors.learn.stereo_pair import Item
+from priors.nets.stereo_output import Matched, StereoOut
 from priors.types import Image
 
 LARGEST_PX = 192

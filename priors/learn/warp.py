@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 
 from priors import codecs
-from priors.learn.pair import Pair, flip, mirror
+from priors.learn.stereo_pair import Pair, flip, mirror
 from priors.types import FloatMap, Image, Mask
 
 STEP_PX = 0.8
@@ -57,7 +57,7 @@ def warp(scene: Scene, filler: Image, swap: bool = False) -> Pair:
         swap: exchange the views in the mirror, so that the real image becomes the right one; what it does not see has
             no known disparity then.
     """
-    from priors.kernels import pairs as kernels
+    from priors.kernels import disparity_warp as kernels
 
     column, seen_px = kernels.see_right(scene.disparity_px, STEP_PX)
     image = scene.image if scene.image.ndim == 3 else scene.image[..., None]

@@ -1,4 +1,4 @@
-"""Networks as ONNX files, and onnxruntime to run the stereo ones (graphs.py runs the others).
+"""ONNX files of networks, and onnxruntime to run the stereo ones (graphs.py runs the others).
 
     python -m priors.nets.export --net cfnet --size s --image-size 1242x375 --max-disparity 192 --out cfnet-s.onnx
     python -m priors.nets.export --net bts --size m --image-size 1242x375 --out bts-m.onnx
@@ -27,7 +27,7 @@ from priors import codecs
 from priors.errors import DataError
 from priors.nets.graphs import FORMS, open_session, write_down
 from priors.nets.graphs import to_onnx as one_image_to_onnx
-from priors.nets.planes import portable
+from priors.nets.onnx_volume import portable
 from priors.nets.runtime import Ready
 
 OUTPUTS = ("disparity_px", "sigma_px", "doubt")

@@ -5,7 +5,8 @@
 
 Each line is scale * d + a + b X + c X^2 + e X Y (priors/pairs/offset.py), fitted to all frames, and how far it moves if
 frames are drawn anew. Ego-motion: corners are tracked into the next image, and the drive's poses say how far away they
-are. The teacher's maps are those that `python -m priors.learn.teach` makes with a network fine-tuned on KITTI's truth.
+are. The teacher's maps are those that `python -m priors.learn.teacher_labels` makes with a network fine-tuned on
+KITTI's truth.
 """
 
 import argparse
@@ -19,7 +20,7 @@ import numpy as np
 from priors import drives
 from priors.drives import DriveOptions
 from priors.geometry import invert
-from priors.learn.pseudo import find
+from priors.learn.pseudo_labels import find
 from priors.pairs.matching import match, to_grey
 from priors.pairs.offset import Offset, Points, compare, fit_points, gather, slope
 from priors.pairs.read import read_pair

@@ -1,4 +1,4 @@
-"""Completion's last step in one pass over memory; the readable twin is in nets/mffnet.py in plain torch."""
+"""The correction of a pre-filled depth map, MFFNet's last step, in one pass; the twin is mffnet.correct in torch."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""Images as networks take them, in one pass over memory; the readable twin is nets/intake.py in plain torch."""
+"""Pixel-unshuffle of images in one pass over memory; the readable twin is nets/stereo_input.py in plain torch."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""Images of one scene from posed places near each other: what photometric supervision looks at."""
+"""Posed views of one scene: a target and its neighbours, what photometric supervision compares."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,9 +7,10 @@ import cv2
 import numpy as np
 import torch
 
-from priors.adapt.batch import Batch
-from priors.adapt.finetune import thin
-from priors.adapt.views import View, Window, choose_window, collate, cut_out, repaint
+from priors.adapt.selection import pick_evenly
+from priors.adapt.training_step import Batch
+from priors.adapt.views import LabelledView, augment_view, collate
+from priors.adapt.windows import Window, crop, draw_window
 from priors.codecs import as_rgb
 from priors.errors import DataError
 from priors.types import Camera, Drive, FloatMap, Image, Matrix
@@ -22,7 +23,7 @@ MIRROR = np.diag([-1.0, 1.0, 1.0])
 
 
 @dataclass(frozen=True, slots=True)
-class Source:
+class SourceView:
     """A neighbour's image, whole."""
 
     image: Image
@@ -32,14 +33,14 @@ class Source:
 
 
 @dataclass(frozen=True, slots=True)
-class Clip:
-    """A view and its neighbours."""
+class PosedView:
+    """A target view and its neighbours."""
 
-    view: View
+    view: LabelledView
     """The target; its depth and sky are what the starting network says."""
     log_scale: FloatMap
     """(h, w) the starting network's."""
-    sources: tuple[Source, Source]
+    sources: tuple[SourceView, SourceView]
     """One before and one after; the same twice where only one is there."""
 
 
@@ -60,7 +61,7 @@ def pair_up(drive: Drive, indices: Sequence[int], most: int) -> dict[int, tuple[
             f"{drive.name}: no two training frames lie {NEAREST_M} to {FARTHEST_M} m apart, which --mono.adapt video "
             f"needs (poses are in metres): {instead}"
         )
-    return {index: pairs[index] for index in thin(list(pairs), most)}
+    return {index: pairs[index] for index in pick_evenly(list(pairs), most)}
 
 
 def neighbours(poses: Mapping[int, Matrix], target: int) -> tuple[int, int] | None:
@@ -83,8 +84,8 @@ def neighbours(poses: Mapping[int, Matrix], target: int) -> tuple[int, int] | No
     return (found[0], found[-1]) if found else None
 
 
-def crops(
-    clips: Sequence[Clip], rng: np.random.Generator, size: tuple[int, int], zoom: tuple[float, float], shrink: int
+def posed_batch(
+    clips: Sequence[PosedView], rng: np.random.Generator, size: tuple[int, int], zoom: tuple[float, float], shrink: int
 ) -> Batch:
     """Cut a random window of every clip's view.
 
@@ -100,8 +101,8 @@ def crops(
         (b, h, w); sources (b, 2, 3, height, width); and where a target's pixel (u, v) of depth d lies in a source
         whose image spans [-1, 1]: d * turn (u, v, 1) + shift, or still (u, v, 1) if the camera had not moved.
     """
-    windows = [choose_window(clip.view.camera.size, rng, size, zoom) for clip in clips]
-    views = [cut_out(clip.view, window) for clip, window in zip(clips, windows, strict=True)]
+    windows = [draw_window(clip.view.camera.size, rng, size, zoom) for clip in clips]
+    views = [crop(clip.view, window) for clip, window in zip(clips, windows, strict=True)]
     height, width = (max(1, round(n * windows[0].factor / shrink)) for n in clips[0].sources[0].camera.size)
     images = [[resize(source.image, (height, width)) for source in clip.sources] for clip in clips]
     places = [
@@ -110,7 +111,7 @@ def crops(
     ]
     turn, shift, still = (np.array([[p[n] for p in two] for two in places], np.float32) for n in range(3))
     return {
-        **collate([repaint(view, rng) for view in views]),
+        **collate([augment_view(view, rng) for view in views]),
         "target": collate(views)["image"],
         "log_scale": torch.from_numpy(np.stack([w.map(c.log_scale) for c, w in zip(clips, windows, strict=True)])),
         "sources": torch.from_numpy(np.array(images)).permute(0, 1, 4, 2, 3).float() / 255,
@@ -126,7 +127,7 @@ def resize(image: Image, size: tuple[int, int]) -> Image:
     return as_rgb(np.asarray(cv2.resize(image, size[::-1], interpolation=way), np.uint8))
 
 
-def place(source: Source, window: Window, camera: Camera) -> tuple[Matrix, Matrix, Matrix]:
+def place(source: SourceView, window: Window, camera: Camera) -> tuple[Matrix, Matrix, Matrix]:
     """Return turn (3, 3), shift (3,) and still (3, 3), see `crops`.
 
     Args:

@@ -1,4 +1,4 @@
-"""Disparity maps resized without mixing surfaces, and the right view that a left view and its disparities make."""
+"""Warping by a disparity map: the right view that a left view makes; and maps resized without mixing surfaces."""
 
 import numpy as np
 import numpy.typing as npt

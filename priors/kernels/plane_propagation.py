@@ -1,4 +1,4 @@
-"""Kernels that spread samples over the pixels around them: each brings its plane, the image says how far it holds.
+"""Plane propagation: samples bring their planes to the pixels around them, the image says how far each holds.
 
 Every sample visits whole runs of LANES columns, so that the inner loops have a fixed length and compile to vector code;
 maps are therefore padded by at least the reach on all sides, and nothing is clipped.
@@ -29,7 +29,7 @@ Bytes: TypeAlias = npt.NDArray[np.uint8]
 
 
 @compiled(fastmath=True, error_model="numpy")
-def choose(
+def assign(
     row: Ints,
     column: Ints,
     inverse: Floats,
@@ -69,7 +69,7 @@ def choose(
 
 
 @compiled(fastmath=True, error_model="numpy")
-def blend(
+def average(
     row: Ints,
     column: Ints,
     inverse: Floats,
@@ -116,7 +116,7 @@ def blend(
 
 
 @compiled(fastmath=True, error_model="numpy")
-def settle(
+def fill_holes(
     cost: Floats, top: Floats, bottom: Floats, pad: int, coarse: Floats, sure: Floats, coarse_pad: int, step: int
 ) -> None:
     """Turn top (padded) into inverse depth and cost into certainty, in (0, 1]; holes come from a smaller map.
@@ -152,7 +152,7 @@ def settle(
 
 
 @compiled(fastmath=True, error_model="numpy")
-def finish(
+def to_depth(
     crisp: Floats,
     soft: Floats,
     certain: Floats,
@@ -168,7 +168,7 @@ def finish(
 
     Args:
         crisp, soft: inverse depth before and after the blur; confidence halves where they differ by the share 1 / edge.
-        certain, pad: see settle.
+        certain, pad: see fill_holes.
         near: 1 where a value has support.
         least, most: range of inverse depth, 1/m.
         edge: see crisp.

@@ -1,6 +1,6 @@
 """Labels for real pairs without truth: what two matchers agree on, or one is sure of.
 
-The classical matcher labels every pair. A teacher's maps (`python -m priors.learn.teach`) add to them: a network that
+The classical matcher labels every pair. A teacher's maps (`python -m priors.learn.teacher_labels`) add to them: a network that
 was trained on KITTI's truth has learned that truth's rectification (up to 1 px at the image's sides, where LiDAR and
 images disagree), so what differs smoothly between the two matchers is taken off the teacher, pair by pair. What is left
 must agree with the classical match, or where there is none, show the same in both views.
@@ -18,7 +18,7 @@ import numpy.typing as npt
 from priors import codecs
 from priors.drives.kitti_odometry import KittiOdometry
 from priors.errors import DataError
-from priors.learn.pair import Pair
+from priors.learn.stereo_pair import Pair
 from priors.pairs.matching import match, to_grey
 from priors.pairs.smoothing import diffuse
 from priors.sky import sky_mask
@@ -186,7 +186,7 @@ def steep(map_: FloatMap) -> Mask:
 
 def same(grey: Image, other: Image, disparity_px: FloatMap) -> Mask:
     """Tell where the other view shows the same (h, w): seen by both, and alike up to brightness."""
-    from priors.kernels.pairs import see_right
+    from priors.kernels.disparity_warp import see_right
 
     height, width = disparity_px.shape
     rows, columns = np.mgrid[:height, :width].astype(np.float32)

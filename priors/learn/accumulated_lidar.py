@@ -10,8 +10,8 @@ import numpy as np
 from priors.drives.kitti_raw import KittiRaw
 from priors.errors import DataError
 from priors.geometry import invert, transform
-from priors.learn.odometry import poses
-from priors.learn.scans import Scene, pixels, splat
+from priors.learn.lidar_odometry import poses
+from priors.learn.lidar_scene import Scene, pixels, splat
 from priors.methods.lidar import Lidar, hidden
 from priors.types import FloatMap, Frame, Mask, Sweep
 

@@ -1,7 +1,7 @@
-"""Matching at given disparities with gradients, fused: gather, interpolate, multiply and sum, forwards and backwards.
+"""Cost volumes with gradients, forward and backward: fetch, interpolate, multiply and sum in one pass over memory.
 
-The readable twin is nets/volume.py in plain torch; this does in one pass over memory what takes that a dozen. Rows are
-independent, so threads share nothing. Without gradients, kernels/volume.py does more at once.
+The readable twin is nets/cost_volume.py in plain torch, which takes a dozen passes. Rows are independent, so threads
+share nothing. Without gradients, kernels/cost_volume.py does more at once.
 """
 
 import numpy as np

@@ -1,21 +1,21 @@
-"""The first stage of a stereo network: cost volumes of three scales, fused by one 3D hourglass."""
+"""3D hourglass, the first stage of a stereo network: it fuses cost volumes of three scales."""
 
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
 
-from priors.nets.blocks import Climb, Exact, conv3d
+from priors.nets.blocks import Exact, UpsampleConv, conv3d
 from priors.nets.matching import concatenate, correlate, expect
-from priors.nets.outputs import Matched
-from priors.nets.planes import beside, weigh
+from priors.nets.onnx_volume import beside, weigh
+from priors.nets.stereo_output import Matched
 
 GROUPS, GROUP_CHANNELS = 8, 8
 WIDTHS = {"s": 16, "m": 24, "l": 32}
 """Channels of the 3D convolutions at 1/8."""
 
 
-class Coarse(nn.Module):
+class Hourglass(nn.Module):
     """The whole range of disparities at 1/8, helped by volumes at 1/16 and 1/32."""
 
     def __init__(self, channels: tuple[int, int, int, int], width: int, joined: int = 0) -> None:
@@ -27,7 +27,7 @@ class Coarse(nn.Module):
         self.first = nn.ModuleList(conv3d(GROUPS + 2 * joined, width * k) for k in (1, 2, 2))
         self.down = nn.ModuleList([conv3d(width, 2 * width, stride=2), conv3d(2 * width, 2 * width, stride=2)])
         self.fuse = nn.ModuleList([conv3d(4 * width, 2 * width), conv3d(4 * width, 2 * width)])
-        self.up = nn.ModuleList([Climb(*conv3d(2 * width, width)), Climb(*conv3d(2 * width, 2 * width))])
+        self.up = nn.ModuleList([UpsampleConv(*conv3d(2 * width, width)), UpsampleConv(*conv3d(2 * width, 2 * width))])
         self.gate = nn.Conv2d(channels[1], width, 1)
         self.last = Exact(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
 

@@ -1,4 +1,4 @@
-"""What stereo networks return, and how maps go from one stage to the next."""
+"""Stereo networks' results: what a stage finds, what the network returns, and maps on their way to the next stage."""
 
 from dataclasses import dataclass
 from typing import Self

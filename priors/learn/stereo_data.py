@@ -15,9 +15,9 @@ import torch
 from torch import Tensor
 
 from priors.learn import pseudo, scenes, warp
-from priors.learn.pair import Item, Pair, crop, from_street, to_item
-from priors.learn.scans import Streets
-from priors.learn.vary import USUAL, Variation, vary
+from priors.learn.lidar_scene import Streets
+from priors.learn.stereo_augment import USUAL, Variation, vary
+from priors.learn.stereo_pair import Item, Pair, crop, from_street, to_item
 
 Draw = Callable[[np.random.Generator], Item]
 SHARES = {"street": 0.55, "warped": 0.25, "odometry": 0.2}
@@ -54,7 +54,7 @@ def find(
         street: folder of rendered samples.
         real: folder that holds kitti_odometry, kitti_raw_train and camvid, or some of them; None: the street only.
         cache: where prepared real data is kept; default: `real` beside the street's folder.
-        teacher: folder of a teacher's maps of the odometry frames, see learn/teach.py.
+        teacher: folder of a teacher's maps of the odometry frames, see learn/teacher_labels.py.
     """
     streets = Streets(street)
     if real is None:

@@ -21,11 +21,11 @@ import numpy.typing as npt
 import torch
 
 from priors.learn import pseudo
-from priors.learn.data import find
-from priors.learn.pair import Item, Pair, from_street, to_item
-from priors.learn.vary import vary
+from priors.learn.stereo_augment import vary
+from priors.learn.stereo_data import find
+from priors.learn.stereo_pair import Item, Pair, from_street, to_item
 from priors.nets import runtime, weights
-from priors.nets.confidence import TERMS, Calibration, evidence, fit, miscalibration
+from priors.nets.confidence import TERMS, ConfidenceCalibration, evidence, fit, miscalibration
 from priors.nets.runtime import Ready, as_map
 from priors.types import FloatMap, Mask
 
@@ -91,7 +91,7 @@ def join(parts: Iterable[Seen]) -> Seen:
     return Seen(*(np.concatenate(column, axis=-1) for column in columns))
 
 
-def calibrate(parts: Sequence[Seen]) -> Calibration:
+def calibrate(parts: Sequence[Seen]) -> ConfidenceCalibration:
     """Fit a calibration to all parts whose order of the pixels beats farthest first in each, in every error.
 
     With the least weight of distance that does it clearly, or else the one that comes nearest to it.
@@ -103,7 +103,7 @@ def calibrate(parts: Sequence[Seen]) -> Calibration:
     return clear[0] if clear else tried[int(np.argmin(worst))]
 
 
-def ratios(calibration: Calibration, seen: Seen) -> tuple[float, float, float]:
+def ratios(calibration: ConfidenceCalibration, seen: Seen) -> tuple[float, float, float]:
     """Return areas under the sparsification curve against farthest first's: of relative error, D1 and squared metres.
 
     The pixels are sorted by the score: a table has steps. The baseline cancels out.
@@ -126,7 +126,7 @@ def area(error: Flat, score: FloatMap) -> float:
     return float(np.mean(np.cumsum(sorted_error) / np.arange(1, error.size + 1))) if error.size else 0.0
 
 
-def report(name: str, calibration: Calibration, seen: Seen) -> str:
+def report(name: str, calibration: ConfidenceCalibration, seen: Seen) -> str:
     """Say how well a calibration holds."""
     confidence = calibration.probability(calibration.score(seen.terms))
     relative, outlier, squared = ratios(calibration, seen)
@@ -166,7 +166,7 @@ def calibrate_file(
     made = calibrate(list(halves[0].values()))
     lines = []
     for name, seen in halves[1].items():
-        lines.append(report(f"{name}, as trained", Calibration.trusting(), seen))
+        lines.append(report(f"{name}, as trained", ConfidenceCalibration.trusting(), seen))
         lines.append(report(f"{name}, calibrated", made, seen))
     lines.append(
         "weights: " + ", ".join(f"{name} {value:.2f}" for name, value in zip(TERMS, made.weights, strict=True))

@@ -1,4 +1,4 @@
-"""Volumes as lists of planes, for export: onnxruntime convolves maps fast and volumes slowly.
+"""3D convolutions for ONNX export: a volume is a list of planes, for onnxruntime convolves maps fast, volumes slowly.
 
 Its 3D convolution copies every neighbourhood into a matrix first, its 2D one does not. A 3x3x3 convolution is three 3x3
 ones a plane, added up, which onnxruntime does in the layout that suits it from the first to the last; and a repeated
@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.nets.blocks import Climb
+from priors.nets.blocks import UpsampleConv
 from priors.types import FloatMap
 
 Net = TypeVar("Net", bound=nn.Module)
@@ -59,8 +59,8 @@ def portable(net: Net) -> Net:
 
 def _replace(net: nn.Module) -> None:
     for name, child in list(net.named_children()):
-        if isinstance(child, Climb):
-            setattr(net, name, PlaneClimb(child))
+        if isinstance(child, UpsampleConv):
+            setattr(net, name, PlaneUpsampleConv(child))
         elif isinstance(child, nn.Sequential) and isinstance(child[-1], nn.Conv3d):
             setattr(net, name, PlaneHead(child))
         elif isinstance(child, nn.Sequential) and isinstance(child[0], nn.Conv3d):
@@ -98,10 +98,10 @@ class PlaneConv(nn.Module):
         return Planes(out)
 
 
-class PlaneClimb(nn.Module):
-    """A convolution of a repeated volume, on top of another: see blocks.Climb."""
+class PlaneUpsampleConv(nn.Module):
+    """A convolution of a repeated volume, on top of another: see blocks.UpsampleConv."""
 
-    def __init__(self, climb: Climb) -> None:
+    def __init__(self, climb: UpsampleConv) -> None:
         super().__init__()
         conv = climb[0]
         assert isinstance(conv, nn.Conv3d) and conv.kernel_size == (3, 3, 3) and conv.stride == (1, 1, 1)
@@ -110,7 +110,7 @@ class PlaneClimb(nn.Module):
         self.far = nn.ModuleList(flat(conv, weight, with_bias=False) for weight in (before, after))
 
     def forward(self, small: Planes, plus: Planes) -> Planes:
-        """Climb."""
+        """UpsampleConv."""
         seen = [F.interpolate(map_, scale_factor=2.0, mode="nearest") for map_ in small]
         out = []
         for index, above in enumerate(plus):

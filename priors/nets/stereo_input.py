@@ -1,4 +1,4 @@
-"""What stereo networks take in: pairs in [0, 1] or bytes, any size, brought to two scales by pixel-unshuffle."""
+"""Preprocessing of a stereo pair: normalised, padded, and brought to two scales by pixel-unshuffle."""
 
 from functools import partial
 
@@ -11,7 +11,7 @@ from priors.nets.tensors import as_bits, without_gradient
 from priors.nets.trunk import MULTIPLE, normalise, pad
 
 
-def take_in(left: Tensor, right: Tensor, kind: torch.dtype) -> tuple[Tensor, Tensor]:
+def preprocess(left: Tensor, right: Tensor, kind: torch.dtype) -> tuple[Tensor, Tensor]:
     """Normalise a pair, pad it to multiples of 32 and turn pixels into channels.
 
     Args:
@@ -33,7 +33,7 @@ def take_in(left: Tensor, right: Tensor, kind: torch.dtype) -> tuple[Tensor, Ten
 
 def _unshuffle(left: Tensor, right: Tensor, kind: torch.dtype, factor: int) -> Tensor:
     """Do the same in a kernel: 256 values are looked up, not computed."""
-    from priors.kernels import intake as kernels
+    from priors.kernels import pixel_unshuffle as kernels
 
     batch, channels, *size = left.shape
     rows, columns = (-(-side // MULTIPLE) * MULTIPLE // factor for side in size)

@@ -1,4 +1,4 @@
-"""How well the values around a value speak for it."""
+"""Support of a sparse depth map's values by their neighbours: how dense and how steady these are."""
 
 import numpy as np
 import numpy.typing as npt

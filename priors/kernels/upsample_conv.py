@@ -1,4 +1,7 @@
-"""The pass that sorts what a convolution found for eight kinds of place; the readable twin is nets/blocks.Climb."""
+"""The last pass of an upsampling 3D convolution: it interleaves the answers for eight kinds of place.
+
+The readable twin is nets/blocks.UpsampleConv.
+"""
 
 import numpy as np
 
@@ -7,8 +10,8 @@ from priors.machine.compiled import compiled
 
 
 @compiled(fastmath=True)
-def add_sorted(plus: Bits, found: Bits, out: Bits, first: int, last: int) -> None:
-    """Write plus + found, sorted, for the rows first to last - 1.
+def add_interleaved(plus: Bits, found: Bits, out: Bits, first: int, last: int) -> None:
+    """Write plus + found, interleaved, for the rows first to last - 1.
 
     Args:
         plus: (b * h, w, planes, c) in 16 or 32 bits.

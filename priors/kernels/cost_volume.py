@@ -1,8 +1,8 @@
 """Cost volumes for inference: from features as they are stored to what a convolution reads, in one pass over memory.
 
-The readable twins are nets/volume.unit and .lookup in plain torch, which take a dozen passes. Features come in 16 or 32
-bits, are brought to unit length and multiplied in float32, and leave as they came. Rows are independent; inside one,
-loops are short and straight, so that they become vectors.
+The readable twins are nets/cost_volume.unit and .lookup in plain torch, which take a dozen passes. Features come in 16
+or 32 bits, are brought to unit length and multiplied in float32, and leave as they came. Rows are independent; inside
+one, loops are short and straight, so that they become vectors.
 """
 
 import numpy as np

@@ -1,6 +1,6 @@
 """Run a stereo network of yours over real pairs, to label them for training.
 
-    python -m priors.learn.teach --peer psmnet.py --weights model.tar --data ../shared/data --out teacher/
+    python -m priors.learn.teacher_labels --peer psmnet.py --weights model.tar --data ../shared/data --out teacher/
 
 The peer is a Python file with a network class: called with two ImageNet-normalised images (1, 3, h, w), h and w
 multiples of 32, it returns the left view's disparity (1, h, w). Nothing of it becomes part of this package. Maps that
@@ -20,7 +20,7 @@ from torch import nn
 from priors import codecs
 from priors.codecs import as_rgb
 from priors.errors import DataError
-from priors.learn.pseudo import View, read_views, sequences
+from priors.learn.pseudo_labels import View, read_views, sequences
 from priors.types import FloatMap, Image
 
 MEAN, STD = np.array([0.485, 0.456, 0.406], np.float32), np.array([0.229, 0.224, 0.225], np.float32)

@@ -2,7 +2,7 @@
 
 Two thirds of the samples look as KITTI's car does; the rest through other cameras: wider and narrower, higher and
 lower, with other baselines, tilted, looking to the side. What differs between the two images of a real pair
-(exposure, rectification, noise, dirt) is added when a sample is used, anew each time: learn/vary.py.
+(exposure, rectification, noise, dirt) is added when a sample is used, anew each time: learn/stereo_augment.py.
 """
 
 from collections.abc import Callable
@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from priors import geometry
 from priors.build import shard
 from priors.learn import sample as samples
-from priors.learn.sample import PER_WORLD, Sample
+from priors.learn.pair_file import PER_WORLD, Sample
 from priors.street import lidar, rig
 from priors.street.config import StreetConfig
 from priors.street.street import Street

@@ -1,4 +1,4 @@
-"""Kernels on the samples of a sparse depth map: list, spacing, what the camera cannot see, local slopes.
+"""The samples of a sparse depth map: their list, their spacing, what the camera cannot see, local slopes.
 
 Samples are kept in image order (row by row, left to right); `row_start` (height + 1,) names each row's first.
 A window around a sample is then a few short runs, found by pointers that only move forward.
@@ -13,7 +13,7 @@ from priors.machine.compiled import compiled
 
 Ints: TypeAlias = npt.NDArray[np.int32]
 Floats: TypeAlias = npt.NDArray[np.float32]
-Samples: TypeAlias = tuple[Ints, Ints, Ints, Floats]
+SparseSamples: TypeAlias = tuple[Ints, Ints, Ints, Floats]
 """row_start (height + 1,), then row, column and inverse depth (1/m), each (n,)."""
 
 BESIDE = np.float32(1 / 3)  # how likely a sample with a nearer surface on one side is covered, at least
@@ -23,7 +23,7 @@ NEAREST_M, FARTHEST_M = np.float32(1e-3), np.float32(1e4)  # their squares and i
 MOST_NEIGHBOURS = 256
 
 
-def gather(sparse_m: Floats) -> Samples:
+def list_samples(sparse_m: Floats) -> SparseSamples:
     """List the samples of a map (height, width), metres; what is not between NEAREST_M and FARTHEST_M is none."""
     height, width = sparse_m.shape
     index = np.flatnonzero(sparse_m > NEAREST_M)
@@ -35,7 +35,7 @@ def gather(sparse_m: Floats) -> Samples:
 
 
 @compiled
-def thin(row: Ints, column: Ints, inverse: Floats, step: int, height: int, width: int) -> Floats:
+def downsample(row: Ints, column: Ints, inverse: Floats, step: int, height: int, width: int) -> Floats:
     """Return the sparse map (height, width), metres, that is step times smaller: the nearest sample of every cell."""
     sparse_m = np.zeros((height, width), np.float32)
     for i in range(len(row)):
@@ -46,7 +46,7 @@ def thin(row: Ints, column: Ints, inverse: Floats, step: int, height: int, width
 
 
 @compiled
-def keep(row_start: Ints, row: Ints, column: Ints, inverse: Floats, kept: npt.NDArray[np.bool_]) -> Samples:
+def keep(row_start: Ints, row: Ints, column: Ints, inverse: Floats, kept: npt.NDArray[np.bool_]) -> SparseSamples:
     """List the samples where kept (n,) is true."""
     count = np.zeros_like(row_start)
     for i in range(len(row)):

@@ -1,7 +1,8 @@
-"""Matching and upsampling as onnxruntime does them fast: maps channel by channel, and nothing sorted pixel by pixel.
+"""Cost volumes and convex upsampling for ONNX export: maps channel by channel, nothing sorted pixel by pixel.
 
-The same as volume.py and upsample.py in other words. What onnxruntime is slow at: sorting the channels of every pixel
-(Transpose), broadcasting over a few values (Mul, Where), a softmax over any axis but the last.
+The results equal those of cost_volume.py and upsample.py. onnxruntime is slow at sorting the channels of every pixel
+(Transpose), at broadcasting over a few values (Mul, Where) and at a softmax over any axis but the last: they are
+avoided here.
 """
 
 from collections.abc import Sequence
@@ -10,18 +11,18 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from priors.nets.planes import Planes
+from priors.nets.onnx_volume import Planes
 
 
 def unit(features: Tensor, groups: int) -> Tensor:
-    """Return features (b, c, h, w) with every group of channels of length 1; see volume.unit."""
+    """Return features (b, c, h, w) with every group of channels of length 1; see cost_volume.unit."""
     batch, channels, height, width = features.shape
     split = features.view(batch, groups, channels // groups, height, width)
     return (split / torch.sqrt((split * split).sum(2, keepdim=True) + 1e-4)).view(batch, channels, height, width)
 
 
 def correlate(left: Tensor, right: Tensor, groups: int, planes: int) -> Planes:
-    """Match features (b, c, h, w) at disparities 0 .. planes - 1: maps (b, groups, h, w); see volume.correlate."""
+    """Match features (b, c, h, w) at disparities 0 .. planes - 1: maps (b, groups, h, w); see cost_volume.correlate."""
     batch, channels, height, width = left.shape
     left, right = unit(left, groups), F.pad(unit(right, groups), (planes - 1, 0))
     maps = []
@@ -33,14 +34,17 @@ def correlate(left: Tensor, right: Tensor, groups: int, planes: int) -> Planes:
 
 
 def concatenate(left: Tensor, right: Tensor, planes: int) -> Planes:
-    """Put features side by side at disparities 0 .. planes - 1: maps (b, 2c, h, w); see volume.concatenate."""
+    """Put features side by side at disparities 0 .. planes - 1: maps (b, 2c, h, w); see cost_volume.concatenate."""
     width, padded = left.shape[3], F.pad(right, (planes - 1, 0))
     starts = range(planes - 1, -1, -1)
     return Planes([torch.cat([left, padded[..., start : start + width]], dim=1) for start in starts])
 
 
 def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
-    """Match features (b, c, h, w) at disparities (b, h, w, planes): (b, planes, groups, h, w); see volume.lookup."""
+    """Match features (b, c, h, w) at disparities (b, h, w, planes): (b, planes, groups, h, w).
+
+    See cost_volume.lookup.
+    """
     batch, channels, height, width = left.shape
     planes = disparity_px.shape[3]
     asked = torch.arange(width, dtype=torch.float32) - disparity_px.permute(0, 3, 1, 2)
@@ -72,7 +76,7 @@ def lookup_beside(
 
 
 def expect(logits: Tensor, position_px: Tensor, window: int | None) -> tuple[Tensor, Tensor]:
-    """Return mean and deviation (b, h, w) of distributions (b, h, w, planes); see volume.expect."""
+    """Return mean and deviation (b, h, w) of distributions (b, h, w, planes); see cost_volume.expect."""
     planes = logits.shape[-1]
     values, position = (
         logits.permute(0, 3, 1, 2),

@@ -1,6 +1,6 @@
 """Fit the sky mask's two rules and write weights/sky.npz.
 
-    python -m priors.learn.sky --data ../shared/data --streets street21 street22 ...
+    python -m priors.learn.fit_sky --data ../shared/data --streets street21 street22 ...
 
 Both rules are dense networks with one hidden layer; the second sees the first one's answer. So that rule 2
 learns how far rule 1 can be trusted in a new place, it is fitted on answers of rules that had not seen the place.
@@ -137,42 +137,6 @@ def altered(samples: Sequence[Sample], rng: np.random.Generator) -> Iterable[tup
         yield sample.image, sample.label
         for _ in range(VARIANTS[sample.place]):
             yield alter(sample.image, sample.label, rng)
-
-
-def alter(image: Image, label: FloatMap, rng: np.random.Generator) -> tuple[Image, FloatMap]:
-    """Make another camera's picture of the scene: crop, mirror, exposure, white balance, grey, tone, noise."""
-    image, label = crop(image, label, rng)
-    light = as_rgb(image).astype(np.float32) / 255
-    light = light**2.2
-    if rng.random() < 0.5:  # another sky: early, late, clouds, deep blue, or a camera that sees little blue
-        amount = cv2.GaussianBlur((label == SKY).astype(np.float32), (3, 3), 0)[..., None]
-        fall = 1 + rng.uniform(-0.5, 0.8) * np.linspace(0, 1, len(light), dtype=np.float32)[:, None, None]
-        blue = rng.uniform(0.5, 1) if rng.random() < 0.5 else 1.0
-        tint = np.array([blue**2, blue, 1], np.float32) * rng.uniform(0.15, 1)
-        light = light * (1 - amount + amount * tint * fall)
-    if rng.random() < 0.35:
-        light = np.repeat((light @ rng.dirichlet([1, 1.5, 0.6]).astype(np.float32))[..., None], 3, axis=2)
-    elif image.ndim == 3:
-        light = light * rng.uniform(0.75, 1.3, 3).astype(np.float32)
-    light = np.clip(light * np.exp(rng.uniform(-2, 1.3)), 0, 1) ** (np.exp(rng.uniform(-0.35, 0.35)) / 2.2)
-    if rng.random() < 0.5:
-        light = light + rng.normal(0, rng.uniform(0, 0.02), (*light.shape[:2], 1))
-    return (np.clip(light, 0, 1) * 255 + 0.5).astype(np.uint8), label
-
-
-def crop(image: Image, label: FloatMap, rng: np.random.Generator) -> tuple[Image, FloatMap]:
-    """Cut another aspect, mostly with the horizon (half way down) where a car's camera has it; sometimes no sky."""
-    height, width = label.shape
-    if rng.random() < 0.6:
-        rows = int(rng.uniform(0.36, 1) * height)
-        place = rng.uniform(-0.1, 0.05) if rng.random() < 0.12 else rng.uniform(0.38, 0.55)
-        top = int(np.clip(0.5 * height + rng.uniform(-15, 15) - place * rows, 0, height - rows))
-        image, label = image[top : top + rows], label[top : top + rows]
-    if rng.random() < 0.4:
-        columns = int(rng.uniform(0.4, 1) * width)
-        left = int(rng.integers(0, width - columns + 1))
-        image, label = image[:, left : left + columns], label[:, left : left + columns]
-    return (image[:, ::-1], label[:, ::-1]) if rng.random() < 0.5 else (image, label)
 
 
 def fit_layers(

@@ -1,4 +1,4 @@
-"""Slow twins of priors/kernels/pairs.py."""
+"""Slow twins of priors/kernels/disparity_warp.py."""
 
 import numpy as np
 
