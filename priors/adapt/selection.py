@@ -8,7 +8,7 @@ import numpy as np
 from priors.errors import DataError
 from priors.types import Drive
 
-Read = TypeVar("Read")
+Item = TypeVar("Item")
 MOST_VIEWS = 40
 """Frames that take part at most, spread evenly."""
 
@@ -42,13 +42,13 @@ def _held_out(chosen: Sequence[int], hold_out: str) -> Sequence[int]:
         raise DataError(f"--mono.hold-out {hold_out}: expected start:stop:step, for example 9::10, or none") from error
 
 
-def pick_evenly(indices: Sequence[int], most: int) -> list[int]:
-    """Return at most `most` of them, spread evenly."""
-    places = np.unique(np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int))
-    return [indices[place] for place in places]
+def pick_evenly(items: Sequence[Item], most: int) -> list[Item]:
+    """Return at most `most` of the items, spread evenly."""
+    places = np.unique(np.linspace(0, len(items) - 1, min(most, len(items))).round().astype(int))
+    return [items[place] for place in places]
 
 
-def read_each(drive: Drive, indices: Sequence[int], read: Callable[[int], Read], what: str) -> list[Read]:
+def read_each(drive: Drive, indices: Sequence[int], read: Callable[[int], Item], what: str) -> list[Item]:
     """Read what frames teach. Frames that raise DataError are left out; DataError where none is left."""
     views, reason = [], ""
     for index in indices:

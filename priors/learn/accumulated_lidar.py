@@ -1,4 +1,4 @@
-"""Truth from a real drive: what several sweeps saw, placed by the sweeps themselves and cleaned, frame by frame."""
+"""Accumulated LiDAR as the truth of real drives: sweeps, placed by odometry and cleaned, frame by frame."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,9 +11,9 @@ from priors.drives.kitti_raw import KittiRaw
 from priors.errors import DataError
 from priors.geometry import invert, transform
 from priors.learn.lidar_odometry import poses
-from priors.learn.lidar_scene import Scene, pixels, splat
+from priors.learn.lidar_scene import LidarScene, pixels, splat
 from priors.methods.lidar import Lidar, hidden
-from priors.types import FloatMap, Frame, Mask, Sweep
+from priors.types import FloatMap, Frame, Mask, Matrix, Sweep
 
 SWEEPS, SURE = 9, 0.05
 """Sweeps accumulated, and the least confidence of a value to be truth."""
@@ -23,60 +23,70 @@ LINE_RAD = np.radians(np.concatenate([np.linspace(2.0, -8.33, 32), np.linspace(-
 """Elevations of an HDL-64's lines."""
 
 
-class Drive:
+class AccumulatedDrives:
     """KITTI raw drives with sweeps and no poses, held in memory; the first frames of each are for validation."""
 
     def __init__(self, folder: Path, held_out: int = 4) -> None:
         """Take a drive's folder, or one whose kitti_raw_train/ holds drives; DataError where there is none."""
-        within = sorted((folder / "kitti_raw_train").glob("*/*_sync"))
-        self.train: list[Scene] = []
-        self.validation: list[Scene] = []
-        for found in within or [folder]:
-            drive = KittiRaw(found)
-            scenes = [_scene(frame) for frame in _placed([drive[index] for index in range(len(drive))])]
+        folders = sorted((folder / "kitti_raw_train").glob("*/*_sync")) or [folder]
+        self.train: list[LidarScene] = []
+        self.validation: list[LidarScene] = []
+        for path in folders:
+            drive = KittiRaw(path)
+            scenes = [_accumulate(frame) for frame in _pose([drive[index] for index in range(len(drive))])]
             self.train += scenes[held_out:]
             self.validation += scenes[:held_out]
 
 
-def _placed(frames: list[Frame]) -> list[Frame]:
+def _pose(frames: list[Frame]) -> list[Frame]:
     """Give frames poses that their sweeps tell, and neighbours to accumulate."""
-    sweeps = [frame.sweep() for frame in frames]
-    if any(sweep is None for sweep in sweeps) or any(frame.T_cam_lidar is None for frame in frames):
-        raise DataError(f"frame {frames[0].id} and after: no sweeps to learn from")
-    found = poses([sweep.xyz_m for sweep in sweeps if sweep is not None])
+    sweeps = [_sweep(frame) for frame in frames]
+    T_world_lidars = poses([sweep.xyz_m for sweep in sweeps])
 
     def reader(at: int) -> Callable[[int], Sweep | None]:
         def read(offset: int = 0) -> Sweep | None:
-            index, sweep = at + offset, sweeps[min(max(at + offset, 0), len(sweeps) - 1)]
-            return replace(sweep, T_world_lidar=found[index]) if sweep and 0 <= index < len(sweeps) else None
+            index = at + offset
+            inside = 0 <= index < len(sweeps)
+            return replace(sweeps[index], T_world_lidar=T_world_lidars[index]) if inside else None
 
         return read
 
-    placed = []
+    posed = []
     for index, frame in enumerate(frames):
-        assert frame.T_cam_lidar is not None
-        T_world_cam = found[index] @ invert(frame.T_cam_lidar)
+        T_world_cam = T_world_lidars[index] @ invert(_T_cam_lidar(frame))
         readers = {**frame.readers, "sweep": reader(index)}
-        placed.append(replace(frame, T_world_cam=T_world_cam, readers=readers))
-    return placed
+        posed.append(replace(frame, T_world_cam=T_world_cam, readers=readers))
+    return posed
 
 
-def _scene(frame: Frame) -> Scene:
-    """Read a frame's own points and accumulate its truth."""
+def _sweep(frame: Frame) -> Sweep:
     sweep = frame.sweep()
-    assert sweep is not None and frame.T_cam_lidar is not None
-    xyz_m = sweep.xyz_m.astype(np.float64)
+    if sweep is None:
+        raise DataError(f"frame {frame.id}: no sweep to learn from")
+    return sweep
+
+
+def _T_cam_lidar(frame: Frame) -> Matrix:
+    if frame.T_cam_lidar is None:
+        raise DataError(f"frame {frame.id}: the LiDAR's place on the car is not known")
+    return frame.T_cam_lidar
+
+
+def _accumulate(frame: Frame) -> LidarScene:
+    """Read a frame's own points and accumulate its truth."""
+    xyz_m, T_cam_lidar = _sweep(frame).xyz_m.astype(np.float64), _T_cam_lidar(frame)
     elevation = np.arctan2(xyz_m[:, 2], np.hypot(xyz_m[:, 0], xyz_m[:, 1]))
     beam = (63 - np.searchsorted(0.5 * (LINE_RAD[:-1] + LINE_RAD[1:])[::-1], elevation)).astype(np.uint8)
-    seen = transform(frame.T_cam_lidar, xyz_m).astype(np.float32)
-    inside = pixels(seen, frame.camera)[1]
-    gathered = Lidar(sweeps=SWEEPS, stereo=False)(frame)
-    assert gathered.confidence is not None
-    own_m = splat(seen[inside], frame.camera)
+    points_m = transform(T_cam_lidar, xyz_m).astype(np.float32)
+    inside = pixels(points_m, frame.camera)[1]
+    accumulated = Lidar(sweeps=SWEEPS, stereo=False)(frame)
+    if accumulated.confidence is None:
+        raise ValueError("the lidar method gives a confidence with every map")
+    own_m = splat(points_m[inside], frame.camera)
     own_m[hidden(np.where(own_m > 0, own_m, np.float32(np.inf)), frame.camera.fx)] = 0
-    sure = (gathered.confidence > SURE) & agrees(gathered.depth_m, own_m)
-    truth_m = np.where(sure, gathered.depth_m, np.float32(0))
-    return Scene(frame.image(), frame.camera, frame.T_cam_lidar, seen[inside], beam[inside], truth_m, real=True)
+    sure = (accumulated.confidence > SURE) & agrees(accumulated.depth_m, own_m)
+    truth_m = np.where(sure, accumulated.depth_m, np.float32(0))
+    return LidarScene(frame.image(), frame.camera, T_cam_lidar, points_m[inside], beam[inside], truth_m, real=True)
 
 
 def agrees(depth_m: FloatMap, own_m: FloatMap) -> Mask:

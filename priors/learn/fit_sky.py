@@ -1,6 +1,6 @@
-"""Fit the sky mask's two rules and write weights/sky.npz.
+"""Training of the sky mask: fits its two rules and writes weights/sky.npz.
 
-    python -m priors.learn.fit_sky --data ../shared/data --streets street21 street22 ...
+    python -m priors.learn.fit_sky --data ../shared/data --streets street21 street22
 
 Both rules are dense networks with one hidden layer; the second sees the first one's answer. So that rule 2
 learns how far rule 1 can be trusted in a new place, it is fitted on answers of rules that had not seen the place.
@@ -18,19 +18,21 @@ import tyro
 
 from priors import sky
 from priors.codecs import as_rgb
+from priors.errors import DataError
 from priors.kernels.sky import shrink
-from priors.learn.sky_labels import SKY, UNKNOWN, Sample, read_camvid, read_kitti, read_street
+from priors.learn.sky_augment import augment
+from priors.learn.sky_labels import SKY, UNKNOWN, SkySample, read_camvid, read_kitti, read_street
 from priors.types import FloatMap, Image
 
 Floats = npt.NDArray[np.float32]
-VARIANTS = {"0001": 6, "0006": 4, "0016": 2, "06": 90, "01": 50, "image_02": 70, "street": 12}
-"""How many altered copies of each image: places with few images get more."""
+COPIES = {"0001": 6, "0006": 4, "0016": 2, "06": 90, "01": 50, "image_02": 70, "street": 12}
+"""How many augmented copies of each image: places with few images get more."""
 BLOCKS_PER_IMAGE = 250
 DECAY = 1e-4
 
 
 @dataclass(frozen=True)
-class Fit:
+class SkyFit:
     """Fit the sky mask on CamVid's training split, a few KITTI training frames and rendered streets."""
 
     data: Path
@@ -40,12 +42,16 @@ class Fit:
     out: Path = sky.WEIGHTS
     """Where the weights go."""
     seed: int = 0
-    """Decides the altered copies, the blocks drawn and the start of the fit."""
+    """Decides the augmented copies, the blocks drawn and the start of the fit."""
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise DataError(f"--seed is {self.seed}, expected 0 or more")
 
 
-def main() -> None:
-    """Fit, write, and print how each place fares when it is held out."""
-    fit = tyro.cli(Fit, description=__doc__)
+def main(arguments: list[str] | None = None) -> None:
+    """Fit, write, and print how each place fares when it is held out; takes the command line's arguments."""
+    fit = tyro.cli(SkyFit, args=arguments, description=__doc__)
     samples = [*read_camvid(fit.data / "camvid", "train"), *read_kitti(fit.data)]
     samples += [sample for street in fit.streets for sample in read_street(street)]
     places = sorted({sample.place for sample in samples})
@@ -60,10 +66,8 @@ def main() -> None:
     values = [value for value, _ in seconds]
     for held, place in enumerate(places):
         rule = fit_layers(*without(values, labels, held), fit.seed)
-        found = sky.apply_layers(rule, values[held].T)
-        print(
-            f"{place} held out: IoU {iou(found, labels[held]):.3f}, rule 1 {iou(values[held][:, 0], labels[held]):.3f}"
-        )
+        both, first = iou(sky.apply_layers(rule, values[held].T), labels[held]), iou(values[held][:, 0], labels[held])
+        print(f"{place} held out: IoU {both:.3f}, rule 1 {first:.3f}")
     rules = fit_layers(firsts, labels, fit.seed), fit_layers(values, labels, fit.seed)
     arrays = {
         f"rule{number}_{name}{depth}": array
@@ -86,30 +90,30 @@ def iou(logit: FloatMap, label: FloatMap) -> float:
     return both / max(1, int(np.count_nonzero((logit > 0) | (label > 0.5))))
 
 
-def of_place(samples: Iterable[Sample], place: str) -> list[Sample]:
+def of_place(samples: Iterable[SkySample], place: str) -> list[SkySample]:
     """Return a place's samples."""
     return [sample for sample in samples if sample.place == place]
 
 
-def sample_blocks(samples: Sequence[Sample], seed: int) -> list[tuple[Floats, Floats]]:
-    """Draw blocks of every image and its altered copies: what `describe` says of them and their share of sky."""
+def sample_blocks(samples: Sequence[SkySample], seed: int) -> list[tuple[Floats, Floats]]:
+    """Draw blocks of every image and its augmented copies: what `describe` says of them and their share of sky."""
     rng = np.random.default_rng(seed)
     drawn = []
-    for image, label in altered(samples, rng):
+    for image, label in with_copies(samples, rng):
         first, _ = sky.describe(*blocks_of(image))
-        chosen, share = draw(label, first.shape[1], first.shape[2], rng)
+        chosen, share = draw_blocks(label, first.shape[1], first.shape[2], rng)
         drawn.append((first.reshape(len(first), -1)[:, chosen].T, share))
     return drawn
 
 
-def second_blocks(samples: Sequence[Sample], rule: sky.Layers, seed: int) -> tuple[Floats, Floats]:
+def second_blocks(samples: Sequence[SkySample], rule: sky.Layers, seed: int) -> tuple[Floats, Floats]:
     """Draw the same blocks: what `compare` says of them, given rule 1."""
     rng = np.random.default_rng(seed)
     values, shares = [], []
-    for image, label in altered(samples, rng):
+    for image, label in with_copies(samples, rng):
         first, colour = sky.describe(*blocks_of(image))
         second = sky.compare(first, colour, sky.apply_layers(rule, first))
-        chosen, share = draw(label, first.shape[1], first.shape[2], rng)
+        chosen, share = draw_blocks(label, first.shape[1], first.shape[2], rng)
         values.append(second.reshape(len(second), -1)[:, chosen].T)
         shares.append(share)
     return np.concatenate(values), np.concatenate(shares)
@@ -121,7 +125,9 @@ def blocks_of(image: Image) -> tuple[Floats, FloatMap]:
     return shrink(np.ascontiguousarray(image), sky.block_side(*image.shape[:2]))
 
 
-def draw(label: FloatMap, rows: int, columns: int, rng: np.random.Generator) -> tuple[npt.NDArray[np.int64], Floats]:
+def draw_blocks(
+    label: FloatMap, rows: int, columns: int, rng: np.random.Generator
+) -> tuple[npt.NDArray[np.int64], Floats]:
     """Draw blocks whose label is known: their flat indices and their share of sky."""
     size = (columns, rows)
     share = cv2.resize((label == SKY).astype(np.float32), size, interpolation=cv2.INTER_AREA).ravel()
@@ -131,12 +137,12 @@ def draw(label: FloatMap, rows: int, columns: int, rng: np.random.Generator) -> 
     return chosen, share[chosen].astype(np.float32)
 
 
-def altered(samples: Sequence[Sample], rng: np.random.Generator) -> Iterable[tuple[Image, FloatMap]]:
-    """Yield every image as it is, then its altered copies."""
+def with_copies(samples: Sequence[SkySample], rng: np.random.Generator) -> Iterable[tuple[Image, FloatMap]]:
+    """Yield every image as it is, then its augmented copies."""
     for sample in samples:
         yield sample.image, sample.label
-        for _ in range(VARIANTS[sample.place]):
-            yield alter(sample.image, sample.label, rng)
+        for _ in range(COPIES[sample.place]):
+            yield augment(sample.image, sample.label, rng)
 
 
 def fit_layers(
@@ -191,4 +197,7 @@ def gradients(layers: Sequence[Sequence[Floats]], x: Floats, y: Floats) -> list[
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except DataError as error:
+        raise SystemExit(str(error)) from None

@@ -1,4 +1,4 @@
-"""Where a scanner stood, from its sweeps alone: point-to-plane ICP from one sweep to the next.
+"""LiDAR odometry: where a scanner stood, from its sweeps alone, by point-to-plane ICP from one to the next.
 
 For real drives without poses, so that what they saw accumulates into truth for training.
 """

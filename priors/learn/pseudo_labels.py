@@ -1,35 +1,30 @@
-"""Labels for real pairs without truth: what two matchers agree on, or one is sure of.
+"""Pseudo-labels for real pairs without truth: disparities that two matchers agree on, or that one is sure of.
 
-The classical matcher labels every pair. A teacher's maps (`python -m priors.learn.teacher_labels`) add to them: a network that
-was trained on KITTI's truth has learned that truth's rectification (up to 1 px at the image's sides, where LiDAR and
-images disagree), so what differs smoothly between the two matchers is taken off the teacher, pair by pair. What is left
-must agree with the classical match, or where there is none, show the same in both views.
+The classical matcher labels every pair. A teacher's maps (see teacher_labels.py) add to them. A network that was
+trained on KITTI's truth has learned that truth's rectification: LiDAR and images disagree by up to 1 px at the image's
+sides. So what differs smoothly between the two matchers is taken off the teacher, pair by pair. What is left must agree
+with the classical match; where there is none, both views must show the same.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors import codecs
-from priors.drives.kitti_odometry import KittiOdometry
-from priors.errors import DataError
-from priors.learn.stereo_pair import Pair
+from priors.learn import pair_file
+from priors.learn.eye_views import RIGHT, read_views, sequences
+from priors.learn.stereo_pair import StereoPair
+from priors.learn.teacher_maps import find_map, is_fresh, offset, read_map
 from priors.pairs.matching import match, to_grey
 from priors.pairs.smoothing import diffuse
 from priors.sky import sky_mask
 from priors.types import FloatMap, Image, Mask
 
-PER_PX = 256
 CALM_PX = 0.5
 """A match this close to the smoothed map is no mismatch."""
 AGREE_PX = 1.0
-OFFSET_PX = 3.0
-"""Largest difference of teacher and match that says something about the offset between them."""
+"""Teacher and match that differ by less than this agree."""
 ALONE, TAUGHT, BOTH = 0.5, 0.4, 0.9
 """Weight of a match without a teacher, of a teacher without a match, of both."""
 EDGE_PX = 1.0
@@ -43,41 +38,9 @@ SAME, SAME_GREY = 0.5, 3.0
 """Both views show the same where they differ by less than this share of the contrast around, and these levels."""
 BLANK_GREY, BLANK_ROWS = 5.0, 0.45
 """What has less contrast than this, in that upper share of the image, may be sky: a teacher does not know."""
-Side = Literal["left", "right"]
 
 
-@dataclass(frozen=True, slots=True)
-class View:
-    """One eye's view of a real pair; the right eye's is mirrored, so that it too is the left one of its pair."""
-
-    sequence: str
-    frame_id: str
-    side: Side
-    left: Image
-    right: Image
-
-    @property
-    def name(self) -> str:
-        """Return what files about this view are called."""
-        return f"{self.sequence}_{self.frame_id}" + ("_right" if self.side == "right" else "")
-
-
-def sequences(data: Path) -> list[Path]:
-    """List the sequences of a KITTI odometry folder."""
-    return sorted(path.parent for path in (data / "kitti_odometry" / "sequences").glob("*/calib.txt"))
-
-
-def read_views(sequence: Path, camera: str = "image_0") -> Iterator[View]:
-    """Read the pairs of a sequence, each as either eye sees it."""
-    drive = KittiOdometry(sequence, camera)
-    for index in range(len(drive)):
-        frame = drive[index]
-        left, right = frame.image(), frame.other()
-        yield View(sequence.name, frame.id, "left", left, right)
-        yield View(sequence.name, frame.id, "right", *(np.ascontiguousarray(a[:, ::-1]) for a in (right, left)))
-
-
-def prepare(data: Path, out: Path, teacher: Path | None = None) -> list[Path]:
+def label_drives(data: Path, out: Path, teacher: Path | None = None) -> list[Path]:
     """Label every odometry pair below data into out, once; a pair is labelled anew when its teacher's map is newer.
 
     Args:
@@ -91,27 +54,19 @@ def prepare(data: Path, out: Path, teacher: Path | None = None) -> list[Path]:
     paths = []
     for sequence in sequences(data):
         stems = sorted(path.stem for path in (sequence / "image_0").iterdir())
-        names = [f"{sequence.name}_{stem}{side}" for stem in stems for side in ("", "_right")]
-        if not all(fresh(out / f"{name}.npz", find(teacher, name)) for name in names):
+        names = [f"{sequence.name}_{stem}{side}" for stem in stems for side in ("", RIGHT)]
+        if not all(is_fresh(out / f"{name}.npz", find_map(teacher, name)) for name in names):
             for view in read_views(sequence):
-                path, map_ = out / f"{view.name}.npz", find(teacher, view.name)
-                if not fresh(path, map_):
+                path, map_ = out / f"{view.name}.npz", find_map(teacher, view.name)
+                if not is_fresh(path, map_):
                     matched_px = match(view.left, view.right)
                     taught = None if map_ is None else read_map(map_, view.left.shape)
-                    write(path, label(view.left, view.right, matched_px, taught), matched_px)
+                    pair_file.write(path, label(view.left, view.right, matched_px, taught), matched_px)
         paths += [out / f"{name}.npz" for name in names]
     return paths
 
 
-def read_map(path: Path, size: tuple[int, ...]) -> FloatMap:
-    """Read a teacher's map (h, w), px, of a view; that of a right eye is stored unmirrored, and turned here."""
-    map_ = np.load(path, allow_pickle=False).astype(np.float32)
-    if map_.shape != size:
-        raise DataError(f"{path}: a disparity map {map_.shape}, the image is {size}: teach again")
-    return np.ascontiguousarray(map_[:, ::-1]) if path.stem.endswith("_right") else map_
-
-
-def label(left: Image, right: Image, matched_px: FloatMap, teacher_px: FloatMap | None = None) -> Pair:
+def label(left: Image, right: Image, matched_px: FloatMap, teacher_px: FloatMap | None = None) -> StereoPair:
     """Label a pair (h, w) by what was matched (h, w), px, 0 = none, and a teacher's disparities, if there are any."""
     grey, grey_right = to_grey(left), to_grey(right)
     smooth_px, _ = diffuse(matched_px, grey)
@@ -127,7 +82,7 @@ def label(left: Image, right: Image, matched_px: FloatMap, teacher_px: FloatMap 
         weight = np.where(agree, BOTH, TAUGHT * clear)
     weight = np.where(sky, 1.0, np.where(open_, 0.0, weight)).astype(np.float32)
     value_px = np.where(sky | (weight == 0), np.float32(0), value_px).astype(np.float32)
-    return Pair(left, right, value_px, weight > 0, sky, weight, "odometry")
+    return StereoPair(left, right, value_px, sky, weight, "odometry")
 
 
 def find_sky(image: Image, matched_px: FloatMap) -> tuple[Mask, Mask]:
@@ -156,28 +111,6 @@ def _reaching_far(mask: npt.NDArray[np.uint8], matched_px: FloatMap) -> npt.NDAr
     return kept
 
 
-def offset(teacher_px: FloatMap, matched_px: FloatMap, calm: Mask) -> FloatMap:
-    """Return how far the teacher is off (h, w), px: a smooth function of place and disparity; 0 without evidence."""
-    height, width = teacher_px.shape
-    difference = teacher_px - matched_px
-    y, x = np.nonzero(calm & (np.abs(difference) < OFFSET_PX))
-    y, x = y[::11], x[::11]
-    if len(y) < 500:
-        return np.zeros_like(teacher_px)
-
-    def terms(y: np.ndarray, x: np.ndarray, px: FloatMap) -> list[np.ndarray]:
-        X, Y, D = 2 * x / width - 1, 2 * y / height - 1, px / 50
-        return [np.ones_like(X), X, X * X, Y, D, X * D]
-
-    A, b = np.stack(terms(y, x, teacher_px[y, x]), axis=1), difference[y, x]
-    fit = np.linalg.lstsq(A, b, rcond=None)[0]
-    near = np.abs(b - A @ fit) < AGREE_PX
-    fit = np.linalg.lstsq(A[near], b[near], rcond=None)[0]
-    rows, columns = np.mgrid[:height, :width].astype(np.float32)
-    off = sum(factor * term for factor, term in zip(fit, terms(rows, columns, teacher_px), strict=True))
-    return np.asarray(off, np.float32)
-
-
 def steep(map_: FloatMap) -> Mask:
     """Tell where neighbours differ by more than EDGE_PX (h, w)."""
     window = np.ones((3, 3), np.uint8)
@@ -202,49 +135,6 @@ def same(grey: Image, other: Image, disparity_px: FloatMap) -> Mask:
     return np.asarray(alike & front & (there >= 0) & ~blank)
 
 
-def write(path: Path, pair: Pair, matched_px: FloatMap) -> None:
-    """Write a labelled pair, and what was matched, to one .npz file, atomically."""
-    maps: dict[str, np.ndarray] = {
-        "matched": np.rint(matched_px * PER_PX).astype(np.uint16),
-        "left": pair.left,
-        "right": pair.right,
-        "disparity": np.rint(pair.disparity_px * PER_PX).astype(np.uint16),
-        "weight": np.rint(pair.weight * 255).astype(np.uint8),
-        "sky": pair.sky,
-    }
-    codecs.write_atomically(path, lambda target: _save(target, maps))
-
-
-def read(path: Path) -> Pair:
-    """Read a labelled pair."""
-    with np.load(path) as file:
-        weight = (file["weight"] / np.float32(255)).astype(np.float32)
-        disparity_px = (file["disparity"] / np.float32(PER_PX)).astype(np.float32)
-        return Pair(file["left"], file["right"], disparity_px, weight > 0, file["sky"], weight, "odometry")
-
-
-def read_matched(path: Path) -> FloatMap:
-    """Read what was matched (h, w), px, 0 = none."""
-    with np.load(path) as file:
-        return np.asarray(file["matched"] / np.float32(PER_PX), np.float32)
-
-
-def _save(target: Path, maps: dict[str, np.ndarray]) -> None:
-    with target.open("wb") as file:
-        np.savez(file, allow_pickle=False, **maps)
-
-
 def _level(image: Image) -> FloatMap:
     values = image.astype(np.float32)
     return np.asarray(values - cv2.blur(values, (15, 15)), np.float32)
-
-
-def find(teacher: Path | None, name: str) -> Path | None:
-    """Find a teacher's map of a view, whatever precedes its name."""
-    found = [] if teacher is None else sorted(teacher.glob(f"*{name}.npy"))
-    return found[0] if found else None
-
-
-def fresh(path: Path, map_: Path | None) -> bool:
-    """Tell whether what was made of a view, with a teacher's map or without, is there and not outdated."""
-    return path.exists() and (map_ is None or map_.stat().st_mtime < path.stat().st_mtime)

@@ -13,7 +13,7 @@ import numpy as np
 from priors import geometry
 from priors.adapt.augment import Augmentation, Difference, PairAugmentation, augment_pair
 from priors.adapt.distributions import Effect, LogNormal, LogUniform, Normal, Uniform
-from priors.learn.stereo_pair import StereoPair
+from priors.learn.stereo_pair import Sensors, StereoPair
 from priors.types import Image
 
 SURFACE_PX = 1.0
@@ -81,16 +81,20 @@ class StereoAugmentation:
 
     def __post_init__(self) -> None:
         if not 0 < self.smallest_zoom <= self.largest_zoom:
-            raise ValueError(f"expected 0 < smallest_zoom <= largest_zoom, found {self.smallest_zoom}, {self.largest_zoom}")
+            zooms = f"{self.smallest_zoom} and {self.largest_zoom}"
+            raise ValueError(f"stereo augmentation: expected 0 < smallest_zoom <= largest_zoom, found {zooms}")
         if not (0 <= self.misaligned <= 1 and 0 <= self.covered <= 1):
-            raise ValueError(f"expected probabilities from 0 to 1, found {self.misaligned} and {self.covered}")
+            found = f"{self.misaligned} and {self.covered}"
+            raise ValueError(f"stereo augmentation: expected probabilities from 0 to 1, found {found}")
 
 
 REAL = StereoAugmentation()
 RENDERED = StereoAugmentation(photometric=photometric(RENDERED_CONTRAST, RENDERED_BLACK))
 
 
-def augment(pair: StereoPair, rng: np.random.Generator, size: tuple[int, int], ranges: StereoAugmentation = REAL) -> StereoPair:
+def augment(
+    pair: StereoPair, rng: np.random.Generator, size: tuple[int, int], ranges: StereoAugmentation = REAL
+) -> StereoPair:
     """Return the pair as another camera, another day and a worse calibration would have it, cropped to size."""
     pair = cut(pair, rng, size, ranges)
     left, right = augment_pair(pair.left, pair.right, rng, ranges.photometric)
@@ -122,18 +126,20 @@ def resize(pair: StereoPair, top: int, left: int, window: tuple[int, int], size:
     weight, _ = kernels.resize(pair.weight, flags, *at, 0.0)
     disparity_px *= np.float32(size[1] / window[1])
     views = [_resize(image[top : top + window[0], left : left + window[1]], size) for image in (pair.left, pair.right)]
-    known = (flags_there & 1).astype(np.bool_)
     return replace(
         pair,
         left=views[0],
         right=views[1],
-        disparity_px=np.where(known, disparity_px, np.float32(0)),
-        known=known,
+        disparity_px=np.where(weight > 0, disparity_px, np.float32(0)),
         sky=(flags_there & 2).astype(np.bool_),
         weight=weight,
-        camera=None if pair.camera is None else geometry.resize(geometry.crop(pair.camera, top, left, window), size),
-        # depth = fx * baseline / disparity still holds: fx and disparity scale alike
+        sensors=pair.sensors and _resize_camera(pair.sensors, (top, left), window, size),
     )
+
+
+def _resize_camera(sensors: Sensors, at: tuple[int, int], window: tuple[int, int], size: tuple[int, int]) -> Sensors:
+    """Let the camera follow; depth = fx * baseline / disparity still holds, as fx and disparity scale alike."""
+    return replace(sensors, camera=geometry.resize(geometry.crop(sensors.camera, *at, window), size))
 
 
 def _resize(image: Image, size: tuple[int, int]) -> Image:

@@ -1,185 +1,164 @@
-"""What stereo networks are trained and validated on: the street, pairs made of single real images, labelled real pairs.
+"""Training and validation data of stereo networks: the street, pairs made of single real images, labelled real pairs.
 
-    draw = mixture(street, real=Path("../shared/data"), cache=Path("cache"))
-    item = draw(np.random.default_rng([seed, step]))        # see pair.to_item
+    folders = Folders(Path("samples"), real=Path("../shared/data"))
+    pair = mixture(folders)(np.random.default_rng([seed, step]))
 
 Held back from training: every tenth world of the street, the real drives' frames 0, 10, 20 ...
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import torch
-from torch import Tensor
 
-from priors.learn import pseudo, scenes, warp
-from priors.learn.lidar_scene import Streets
-from priors.learn.stereo_augment import USUAL, Variation, vary
-from priors.learn.stereo_pair import Item, Pair, crop, from_street, to_item
+from priors.adapt.selection import pick_evenly
+from priors.adapt.training_step import Batch
+from priors.adapt.views import to_tensor
+from priors.learn import pair_file, stereo_augment, warp
+from priors.learn.eye_views import RIGHT
+from priors.learn.pseudo_labels import label_drives
+from priors.learn.sample_folder import SampleFolder
+from priors.learn.stereo_augment import REAL, RENDERED
+from priors.learn.stereo_pair import StereoPair, crop
+from priors.learn.warp_scenes import CAMVID, SLOW_NAME, make_scenes
 
-Draw = Callable[[np.random.Generator], Item]
+Draw = Callable[[np.random.Generator], StereoPair]
 SHARES = {"street": 0.55, "warped": 0.25, "odometry": 0.2}
 """Of what is drawn; a source that is not there leaves its share to the others."""
 LEAST_KNOWN = 0.1
 """Share of a crop that must be known; what has less is drawn again."""
 ATTEMPTS = 5
-CRISP, BLACK = 1.3, -4.0
-"""Rendered streets have less contrast and paler blacks than KITTI's and CamVid's images: looks.Range."""
 HELD_BACK_EVERY = 10
-FOLLOWED = 0.5
-"""Of the warped ones, the share of KITTI's own images; the rest is CamVid."""
+KITTI_SHARE = 0.5
+"""Of the warped pairs, the share that KITTI's own images make; the rest are CamVid's."""
+MULTIPLE = 2
+"""Heights and widths that validation looks at are multiples of this."""
+
+
+@dataclass(frozen=True)
+class Folders:
+    """Where the data lies."""
+
+    street: Path
+    """Rendered samples (`priors train samples`)."""
+    real: Path | None = None
+    """Holds kitti_odometry, kitti_raw_train and camvid, or some of them; None: the street only."""
+    cache: Path | None = None
+    """Where prepared real data is kept; default: `real` beside the street's folder."""
+    teacher: Path | None = None
+    """A teacher's maps of the odometry frames, see teacher_labels.py."""
 
 
 @dataclass(frozen=True)
 class Sources:
-    """Files to draw from; those for training, or those held back."""
+    """Files to draw from: those for training, or those held back."""
 
     street: Sequence[Path]
     kitti: Sequence[Path] = ()
-    """Scenes (warp.Scene) of KITTI's images."""
+    """KITTI's images with a disparity map (warp.DisparityImage)."""
     camvid: Sequence[Path] = ()
-    """Scenes of CamVid's."""
+    """CamVid's."""
     odometry: Sequence[Path] = ()
     """Labelled pairs."""
 
 
-def find(
-    street: Path, real: Path | None = None, cache: Path | None = None, teacher: Path | None = None
-) -> tuple[Sources, Sources]:
-    """Find what there is to train on and what is held back; what real data needs is prepared once, in minutes.
-
-    Args:
-        street: folder of rendered samples.
-        real: folder that holds kitti_odometry, kitti_raw_train and camvid, or some of them; None: the street only.
-        cache: where prepared real data is kept; default: `real` beside the street's folder.
-        teacher: folder of a teacher's maps of the odometry frames, see learn/teacher_labels.py.
-    """
-    streets = Streets(street)
-    if real is None:
-        return Sources(streets.train), Sources(streets.validation)
-    cache = cache or street.parent / "real"
-    labelled = pseudo.prepare(real, cache / "labels", teacher)
-    made = scenes.prepare(real, labelled, cache / "scenes", teacher)
-    kitti, kitti_held = _part([path for path in made if not path.stem.startswith("camvid")])
-    camvid = [path for path in made if path.stem.startswith("camvid")]
-    pairs, pairs_held = _part(labelled)
-    return (
-        Sources(streets.train, kitti, camvid, pairs),
-        Sources(streets.validation, kitti_held, camvid[:0], pairs_held),
-    )
+def find_sources(folders: Folders) -> tuple[Sources, Sources]:
+    """Find what there is to train on and what is held back; what real data needs is prepared once, in minutes."""
+    samples = SampleFolder(folders.street)
+    if folders.real is None:
+        return Sources(samples.train), Sources(samples.validation)
+    cache = folders.cache or folders.street.parent / "real"
+    labelled = label_drives(folders.real, cache / "labels", folders.teacher)
+    scenes = make_scenes(folders.real, labelled, cache / "scenes", folders.teacher)
+    camvid = [path for path in scenes if path.stem.startswith(CAMVID)]
+    kitti, kitti_held = split_frames([path for path in scenes if not path.stem.startswith(CAMVID)])
+    pairs, pairs_held = split_frames(labelled)
+    return Sources(samples.train, kitti, camvid, pairs), Sources(samples.validation, kitti_held, (), pairs_held)
 
 
-def mixture(
-    street: Path,
-    real: Path | None = None,
-    cache: Path | None = None,
-    teacher: Path | None = None,
-    crop: tuple[int, int] = (256, 512),
-    shares: dict[str, float] | None = None,
-    variation: Variation = USUAL,
-) -> Draw:
-    """Return what draws a training item of size crop; the item follows from the generator's state alone.
+def split_frames(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
+    """Split files into those to train on and those whose frame number is a multiple of ten, with both their views."""
 
-    See `find` for the folders, pair.to_item for the item, SHARES for shares.
-    """
-    train, _ = find(street, real, cache, teacher)
+    def is_held_back(path: Path) -> bool:
+        return int(path.stem.removesuffix(RIGHT).rpartition("_")[2]) % HELD_BACK_EVERY == 0
+
+    return [path for path in paths if not is_held_back(path)], [path for path in paths if is_held_back(path)]
+
+
+def mixture(folders: Folders, size: tuple[int, int] = (256, 512)) -> Draw:
+    """Return what draws a training pair, augmented and cropped to size; it follows from the generator's state alone."""
+    train, _ = find_sources(folders)
     present = {"street": train.street, "warped": [*train.kitti, *train.camvid], "odometry": train.odometry}
-    wanted = {name: share for name, share in (shares or SHARES).items() if present[name]}
-    rendered = replace(variation, look=replace(variation.look, crisp=CRISP, black=BLACK))
-    names, share = list(wanted), np.array(list(wanted.values()))
+    names = [name for name in SHARES if present[name]]
+    shares = np.array([SHARES[name] for name in names])
 
-    def draw(rng: np.random.Generator) -> Item:
-        source = names[rng.choice(len(names), p=share / share.sum())]
+    def draw(rng: np.random.Generator) -> StereoPair:
+        source = names[rng.choice(len(names), p=shares / shares.sum())]
         for _ in range(ATTEMPTS):
-            how = rendered if source == "street" else variation
-            item = to_item(vary(_draw(train, source, rng, crop), rng, crop, how))
-            if item["known"].mean() >= LEAST_KNOWN:
+            ranges = RENDERED if source == "street" else REAL
+            pair = stereo_augment.augment(_draw_pair(train, source, rng, size), rng, size, ranges)
+            if pair.known.mean() >= LEAST_KNOWN:
                 break
-        return item
+        return pair
 
     return draw
 
 
-def validation(
-    street: Path,
-    real: Path | None = None,
-    cache: Path | None = None,
-    teacher: Path | None = None,
-    count: int = 24,
-    warped: int = 2,
-) -> list[Item]:
-    """Return items that `mixture` never draws from, whole and not varied.
+def validation(folders: Folders, count: int = 24, warped: int = 2) -> list[StereoPair]:
+    """Return pairs that `mixture` never draws from, whole and not augmented.
 
     Args:
-        street: as in `find`.
-        real: as in `find`.
-        cache: as in `find`.
-        teacher: as in `find`.
+        folders: where the data lies.
         count: how many of the street, as its held-back worlds have them.
         warped: how many pairs made of the training drive's colour images.
 
     Returns:
-        The street's items, then one for each held-back odometry frame, then the warped ones.
+        The street's pairs, then one for each held-back odometry frame, then the warped ones.
     """
-    _, held = find(street, real, cache, teacher)
-    items = [to_item(from_street(path)) for path in _spread(held.street, count)]
-    items += [to_item(pseudo.read(path)) for path in held.odometry if not path.stem.endswith("_right")]
-    slow = _spread([path for path in held.kitti if path.stem.startswith("slow")], warped)
+    _, held = find_sources(folders)
+    pairs = [pair_file.read(path) for path in pick_evenly(held.street, count)]
+    pairs += [pair_file.read(path) for path in held.odometry if not path.stem.endswith(RIGHT)]
+    slow = pick_evenly([path for path in held.kitti if path.stem.startswith(SLOW_NAME)], warped)
     for number, path in enumerate(slow):
-        scene = warp.read(path)
-        filler = warp.read_image(slow[number - 1])[::-1]
-        pair = warp.warp(scene, np.ascontiguousarray(filler))
-        items.append(to_item(crop_whole(pair)))
-    return items
+        filler = pair_file.read_left(slow[number - 1])[::-1]
+        pair = warp.warp(pair_file.read_disparity_image(path), np.ascontiguousarray(filler))
+        height, width = pair.sky.shape
+        pairs.append(crop(pair, 0, 0, (height - height % MULTIPLE, width - width % MULTIPLE)))
+    return pairs
 
 
-def collate(items: Sequence[Item]) -> dict[str, Tensor]:
-    """Stack items of one size: left, right (b, 3, h, w), channels-last; disparity_px, known, sky, weight (b, h, w).
+def collate(pairs: Sequence[StereoPair]) -> Batch:
+    """Stack pairs of one size: left, right (b, 3, h, w), channels-last; disparity_px, known, sky, weight (b, h, w).
 
-    All float32; known and sky are 0 or 1.
+    All are float32, colours in [0, 1]; known and sky are 0 or 1.
     """
-    batch = {}
-    for field in ("left", "right"):
-        stacked = np.stack([item[field].transpose(1, 2, 0) for item in items])
-        batch[field] = torch.from_numpy(stacked).permute(0, 3, 1, 2)
-    for field in ("disparity_px", "known", "sky", "weight"):
-        batch[field] = torch.from_numpy(np.stack([item[field] for item in items]).astype(np.float32))
-    return batch
+    maps: dict[str, list[npt.NDArray[Any]]] = {
+        "disparity_px": [pair.disparity_px for pair in pairs],
+        "known": [pair.known for pair in pairs],
+        "sky": [pair.sky for pair in pairs],
+        "weight": [pair.weight for pair in pairs],
+    }
+    return {
+        "left": to_tensor([pair.left for pair in pairs]),
+        "right": to_tensor([pair.right for pair in pairs]),
+        **{name: torch.from_numpy(np.stack(values).astype(np.float32)) for name, values in maps.items()},
+    }
 
 
-def crop_whole(pair: Pair, multiple: int = 2) -> Pair:
-    """Crop a pair so that its sides are multiples."""
-    height, width = pair.sky.shape
-    return crop(pair, 0, 0, (height - height % multiple, width - width % multiple))
-
-
-def _draw(sources: Sources, source: str, rng: np.random.Generator, crop: tuple[int, int]) -> Pair:
+def _draw_pair(sources: Sources, source: str, rng: np.random.Generator, size: tuple[int, int]) -> StereoPair:
     if source == "street":
-        return from_street(_choose(sources.street, rng))
+        return pair_file.read(_draw_path(sources.street, rng))
     if source == "odometry":
-        return pseudo.read(_choose(sources.odometry, rng))
+        return pair_file.read(_draw_path(sources.odometry, rng))
     groups = [group for group in (sources.kitti, sources.camvid) if group]
-    group = groups[0] if rng.random() < FOLLOWED else groups[-1]
-    scene, filler = warp.read(_choose(group, rng)), warp.read_image(_choose(groups[-1], rng))
-    return warp.draw(scene, filler, rng, crop)
+    group = groups[0] if rng.random() < KITTI_SHARE else groups[-1]
+    scene = pair_file.read_disparity_image(_draw_path(group, rng))
+    return warp.draw_pair(scene, pair_file.read_left(_draw_path(groups[-1], rng)), rng, size)
 
 
-def _choose(paths: Sequence[Path], rng: np.random.Generator) -> Path:
+def _draw_path(paths: Sequence[Path], rng: np.random.Generator) -> Path:
     return paths[int(rng.integers(len(paths)))]
-
-
-def _part(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
-    """Part files into those to train on and those whose frame number is a multiple of ten, with both their views."""
-    numbers = [int(path.stem.removesuffix("_right").rpartition("_")[2]) for path in paths]
-    out = [number % HELD_BACK_EVERY == 0 for number in numbers]
-    first = [path for path, is_out in zip(paths, out, strict=True) if not is_out]
-    return first, [path for path, is_out in zip(paths, out, strict=True) if is_out]
-
-
-def _spread(paths: Sequence[Path], count: int) -> Sequence[Path]:
-    """Return count of the paths, evenly spread."""
-    if len(paths) <= count:
-        return paths
-    return [paths[round(index)] for index in np.linspace(0, len(paths) - 1, count)]

@@ -1,23 +1,33 @@
-"""A rectified pair with what is known of its disparity: what a stereo network is trained on."""
+"""Stereo pairs for training: two rectified views, and what is known of their disparity."""
 
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from priors import geometry
-from priors.codecs import as_rgb
-from priors.learn import sample as samples
+from priors.errors import DataError
 from priors.types import Camera, FloatMap, Image, Mask
 
-Item = dict[str, Any]
 T = TypeVar("T", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
-class Pair:
+class Sensors:
+    """The rig of a rendered pair, and what its LiDAR sees."""
+
+    camera: Camera
+    """The left one."""
+    baseline_m: float
+    points_m: npt.NDArray[np.float32]
+    """(n, 3) LiDAR points that fall into the left image, in its camera's axes; those behind an edge are among them."""
+    beam: npt.NDArray[np.uint8]
+    """(n,) the scan line of each point, 0 = the highest."""
+
+
+@dataclass(frozen=True, slots=True)
+class StereoPair:
     """Two views of one moment; all maps are for the left one."""
 
     left: Image
@@ -25,44 +35,32 @@ class Pair:
     right: Image
     """Same shape."""
     disparity_px: FloatMap
-    """(h, w); left x matches right x - disparity; 0 where not known, or infinitely far."""
-    known: Mask
-    """(h, w) where disparity_px is the truth, or a label to learn from; the sky is known to be 0."""
+    """(h, w); left x matches right x - disparity; 0 where it is not known, and in the sky."""
     sky: Mask
     """(h, w)."""
     weight: FloatMap
-    """(h, w) in [0, 1]: how far to trust it, 0 where not known."""
+    """(h, w) in [0, 1]: how far to trust the disparity, the sky's 0 too; 0 where it is not known."""
     source: str
     """Where it comes from: street, warped, odometry."""
-    camera: Camera | None = None
-    baseline_m: float | None = None
-    points_m: npt.NDArray[np.float32] | None = None
-    """(n, 3) LiDAR points in the left camera's axes."""
-    beam: npt.NDArray[np.uint8] | None = None
-    """(n,) each point's scan line."""
+    sensors: Sensors | None = None
+    """Of a rendered pair."""
+
+    @property
+    def known(self) -> Mask:
+        """Tell where the disparity is the truth, or a label to learn from (h, w)."""
+        return self.weight > 0
+
+    @property
+    def depth_m(self) -> FloatMap:
+        """Return a rendered pair's camera-z depth (h, w), metres; 0 = none. DataError for other pairs."""
+        if self.sensors is None:
+            raise DataError(f"a pair of {self.source} images has no camera: depth is known of rendered pairs only")
+        reach = np.float32(self.sensors.camera.fx * self.sensors.baseline_m)
+        safe_px = np.maximum(self.disparity_px, np.float32(1e-6))
+        return np.where(self.disparity_px > 0, reach / safe_px, np.float32(0)).astype(np.float32)
 
 
-def from_street(path: Path) -> Pair:
-    """Read a rendered sample; everything is known but what lies beyond its range without being sky."""
-    found = samples.read(path)
-    known = (found.disparity_px > 0) | found.sky
-    disparity_px = np.where(found.sky, np.float32(0), found.disparity_px)
-    return Pair(
-        found.left,
-        found.right,
-        disparity_px,
-        known,
-        found.sky,
-        known.astype(np.float32),
-        "street",
-        found.camera,
-        found.baseline_m,
-        found.points_m,
-        found.beam,
-    )
-
-
-def mirror(pair: Pair, right_px: FloatMap, right_known: Mask, right_sky: Mask) -> Pair:
+def mirror(pair: StereoPair, right_px: FloatMap, right_known: Mask, right_sky: Mask) -> StereoPair:
     """Exchange the views in the mirror: the flipped right view is the new left one.
 
     Args:
@@ -72,11 +70,10 @@ def mirror(pair: Pair, right_px: FloatMap, right_known: Mask, right_sky: Mask) -
         right_sky: (h, w).
 
     Returns:
-        The mirrored pair, without camera and points.
+        The mirrored pair, without sensors.
     """
-    known, sky = flip(right_known), flip(right_sky)
-    weight = known.astype(np.float32)
-    return Pair(flip(pair.right), flip(pair.left), flip(right_px) * weight, known, sky, weight, pair.source)
+    weight = flip(right_known).astype(np.float32)
+    return StereoPair(flip(pair.right), flip(pair.left), flip(right_px) * weight, flip(right_sky), weight, pair.source)
 
 
 def flip(map_: npt.NDArray[T]) -> npt.NDArray[T]:
@@ -84,46 +81,16 @@ def flip(map_: npt.NDArray[T]) -> npt.NDArray[T]:
     return np.ascontiguousarray(map_[:, ::-1])
 
 
-def crop(pair: Pair, top: int, left: int, size: tuple[int, int]) -> Pair:
-    """Cut the same window out of both views; disparities stay."""
+def crop(pair: StereoPair, top: int, left: int, size: tuple[int, int]) -> StereoPair:
+    """Cut the same window (height, width) out of both views; disparities stay."""
     window = slice(top, top + size[0]), slice(left, left + size[1])
-    cut = replace(
+    sensors = pair.sensors
+    return replace(
         pair,
         left=pair.left[window],
         right=pair.right[window],
         disparity_px=pair.disparity_px[window],
-        known=pair.known[window],
         sky=pair.sky[window],
         weight=pair.weight[window],
+        sensors=sensors and replace(sensors, camera=geometry.crop(sensors.camera, top, left, size)),
     )
-    return cut if pair.camera is None else replace(cut, camera=geometry.crop(pair.camera, top, left, size))
-
-
-def to_item(pair: Pair) -> Item:
-    """Return the pair as networks want it.
-
-    Returns:
-        left, right (3, h, w) float32 in [0, 1] (rows of interleaved colours in memory: channels-last), disparity_px,
-        weight (h, w) float32, known, sky (h, w) bool, source; where the camera is known also depth_m (h, w),
-        K (3, 3), baseline_m, points_m (n, 3) and beam (n,).
-    """
-    item: Item = {
-        "left": _planes(pair.left),
-        "right": _planes(pair.right),
-        "disparity_px": np.ascontiguousarray(pair.disparity_px),
-        "known": np.ascontiguousarray(pair.known),
-        "sky": np.ascontiguousarray(pair.sky),
-        "weight": np.ascontiguousarray(pair.weight),
-        "source": pair.source,
-    }
-    if pair.camera is not None and pair.baseline_m is not None:
-        near = pair.disparity_px > 0
-        reach = np.float32(pair.camera.fx * pair.baseline_m)
-        item["depth_m"] = np.where(near, reach / np.where(near, pair.disparity_px, np.float32(1)), np.float32(0))
-        item |= {"K": pair.camera.K, "baseline_m": pair.baseline_m}
-        item |= {"points_m": pair.points_m, "beam": pair.beam}
-    return item
-
-
-def _planes(image: Image) -> npt.NDArray[np.float32]:
-    return np.multiply(as_rgb(image), np.float32(1 / 255), dtype=np.float32).transpose(2, 0, 1)

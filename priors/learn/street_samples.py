@@ -1,4 +1,4 @@
-"""Training samples from procedural streets: many worlds, cameras, lights and places, rendered once to disk.
+"""Rendering of training samples from procedural streets: many worlds, cameras, lights and places, once to disk.
 
 Two thirds of the samples look as KITTI's car does; the rest through other cameras: wider and narrower, higher and
 lower, with other baselines, tilted, looking to the side. What differs between the two images of a real pair
@@ -14,8 +14,9 @@ from scipy.spatial.transform import Rotation
 
 from priors import geometry
 from priors.build import shard
-from priors.learn import sample as samples
-from priors.learn.pair_file import PER_WORLD, Sample
+from priors.learn import pair_file
+from priors.learn.sample_folder import PER_WORLD, sample_path
+from priors.learn.stereo_pair import Sensors, StereoPair
 from priors.street import lidar, rig
 from priors.street.config import StreetConfig
 from priors.street.street import Street
@@ -42,10 +43,10 @@ def render(out: Path, count: int, on_sample: Callable[[int], None] = lambda numb
     for world in shard(list(range(-(-count // PER_WORLD))), part):
         street: Street | None = None
         for number in range(world * PER_WORLD, min((world + 1) * PER_WORLD, count)):
-            path = out / f"{number:06d}.npz"
+            path = sample_path(out, number)
             if not path.exists():
                 street = street or Street(FIRST_WORLD + world, config=draw_world(FIRST_WORLD + world))
-                samples.write(path, draw(street, number))
+                pair_file.write(path, render_sample(street, number))
             on_sample(number)
 
 
@@ -71,8 +72,8 @@ def draw_world(seed: int) -> StreetConfig:
     return replace(config, **change)  # type: ignore[arg-type]
 
 
-def draw(street: Street, number: int, size: tuple[int, int] = SIZE) -> Sample:
-    """Draw sample `number` of a street."""
+def render_sample(street: Street, number: int, size: tuple[int, int] = SIZE) -> StereoPair:
+    """Render sample `number` of a street."""
     rng = np.random.default_rng([number, 22])
     kitti = rng.random() < KITTI_SHARE
     camera = _kitti_crop(rng, size) if kitti else _other_camera(rng, size)
@@ -86,7 +87,9 @@ def draw(street: Street, number: int, size: tuple[int, int] = SIZE) -> Sample:
     reach = np.float32(camera.fx * baseline_m)
     disparity_px = np.where(left.depth_m > 0, reach / np.maximum(left.depth_m, np.float32(1e-3)), np.float32(0))
     points_m, beam = _scan(street, T_world_cam, camera, time_s, rng)
-    return Sample(left.image, right.image, disparity_px, left.sky, camera, baseline_m, points_m, beam)
+    weight = ((disparity_px > 0) | left.sky).astype(np.float32)
+    sensors = Sensors(camera, baseline_m, points_m, beam)
+    return StereoPair(left.image, right.image, disparity_px, left.sky, weight, "street", sensors)
 
 
 def _kitti_crop(rng: np.random.Generator, size: tuple[int, int]) -> Camera:

@@ -1,4 +1,4 @@
-"""Run a stereo network of yours over real pairs, to label them for training.
+"""Teacher's disparity maps: a stereo network of yours runs over real pairs, to label them for training.
 
     python -m priors.learn.teacher_labels --peer psmnet.py --weights model.tar --data ../shared/data --out teacher/
 
@@ -10,6 +10,7 @@ are there already are kept, so that a stopped run goes on.
 import importlib.util
 from dataclasses import dataclass
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,9 @@ from torch import nn
 from priors import codecs
 from priors.codecs import as_rgb
 from priors.errors import DataError
-from priors.learn.pseudo_labels import View, read_views, sequences
+from priors.learn.eye_views import EyeView, Side, read_views, sequences
+from priors.learn.stereo_pair import flip
+from priors.machine import threads
 from priors.types import FloatMap, Image
 
 MEAN, STD = np.array([0.485, 0.456, 0.406], np.float32), np.array([0.229, 0.224, 0.225], np.float32)
@@ -28,7 +31,7 @@ MULTIPLE = 32
 
 
 @dataclass(frozen=True)
-class Teach:
+class TeacherConfig:
     """Write one disparity map (h, w) float32 .npy, px, for each view of each pair."""
 
     peer: Path
@@ -41,27 +44,38 @@ class Teach:
     """Folder for the maps."""
     network: str = "PSMNet"
     """Name of the class in the file."""
-    sides: tuple[str, ...] = ("left", "right")
+    sides: tuple[Side, ...] = ("left", "right")
     """Views to label; the right one as the left one of the mirrored pair."""
     every: int = 1
     """Only every n-th frame."""
     bf16: bool = False
     """Compute in bfloat16: half the time where the CPU has it; PSMNet's disparities change by 0.04 px in the median."""
     threads: int = 2
+    """CPU threads."""
+
+    def __post_init__(self) -> None:
+        if self.every < 1 or self.threads < 1:
+            raise DataError(f"--every and --threads: expected 1 or more, found {self.every} and {self.threads}")
 
 
-def main() -> None:
-    """Label what is not labelled yet, left views first."""
-    teach = tyro.cli(Teach, description=__doc__)
-    torch.set_num_threads(teach.threads)
-    net = load(teach.peer, teach.network, teach.weights)
-    for side in teach.sides:
-        for sequence in sequences(teach.data):
-            for number, view in enumerate(view for view in read_views(sequence) if view.side == side):
-                path = teach.out / f"{view.name}.npy"
-                if number % teach.every == 0 and not path.exists():
-                    codecs.write_atomically(path, partial(_save, predict(net, view, teach.bf16)))
-                    print(path, flush=True)
+def main(arguments: list[str] | None = None) -> None:
+    """Label what is not labelled yet, left views first; takes the command line's arguments."""
+    config = tyro.cli(TeacherConfig, args=arguments, description=__doc__)
+    with threads.limited(config.threads):
+        net = load(config.peer, config.network, config.weights)
+        for side in config.sides:
+            for sequence in sequences(config.data):
+                views = (view for view in read_views(sequence) if view.side == side)
+                for view in islice(views, 0, None, config.every):
+                    label(net, view, config)
+
+
+def label(net: nn.Module, view: EyeView, config: TeacherConfig) -> None:
+    """Write the map of one view, if it is not there."""
+    path = config.out / f"{view.name}.npy"
+    if not path.exists():
+        codecs.write_atomically(path, partial(_save, predict(net, view, config.bf16)))
+        print(path, flush=True)
 
 
 def load(peer: Path, name: str, weights: Path) -> nn.Module:
@@ -80,13 +94,13 @@ def load(peer: Path, name: str, weights: Path) -> nn.Module:
     return net.eval()
 
 
-def predict(net: nn.Module, view: View, bf16: bool = False) -> FloatMap:
+def predict(net: nn.Module, view: EyeView, bf16: bool = False) -> FloatMap:
     """Return the disparity (h, w), px, in the view's own pixels: a right eye's map is turned back from the mirror."""
     height, width = view.left.shape[:2]
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=bf16):
         map_ = net(*(_tensor(image) for image in (view.left, view.right)))[0].float().numpy()
     map_ = map_[-height:, :width]
-    return np.ascontiguousarray(map_[:, ::-1] if view.side == "right" else map_, np.float32)
+    return flip(map_) if view.side == "right" else np.ascontiguousarray(map_)
 
 
 def _tensor(image: Image) -> torch.Tensor:

@@ -1,4 +1,4 @@
-"""Real images with plausible disparities, prepared once to disk: what learn/warp.py makes pairs of.
+"""Disparities for single real images, plausible ones, prepared once to disk: warp.py makes pairs of them.
 
 - KITTI odometry: what semi-global matching found, smoothed, filled and with sharp edges; or a teacher's map.
 - KITTI raw training drive: LiDAR, completed.
@@ -15,12 +15,16 @@ import numpy.typing as npt
 
 from priors.codecs import read_image
 from priors.drives.kitti_raw import KittiRaw
-from priors.learn import pseudo
-from priors.learn.warp import Scene, fill_nearest, sharpen, write
+from priors.learn.pair_file import read_left, read_matched, write_image
+from priors.learn.pseudo_labels import CALM_PX, find_sky
+from priors.learn.teacher_maps import find_map, is_fresh, offset, read_map
+from priors.learn.warp import DisparityImage, fill_nearest, sharpen
 from priors.pairs.smoothing import diffuse
 from priors.sky import sky_mask
 from priors.types import FloatMap, Image, Mask
 
+CAMVID, SLOW_NAME = "camvid", "slow"
+"""What the names of CamVid's and of the training drive's files begin with."""
 SLOW = "kitti_raw_train/2011_09_26/2011_09_26_drive_sfnd_sync"
 REACH = 721.54 * 0.54
 """Focal length x baseline by which the LiDAR's depth becomes disparity, px m."""
@@ -34,34 +38,34 @@ SMALLEST_PX = 24
 """Pieces of fewer pixels are part of what is around them."""
 
 
-def prepare(data: Path, labels: Sequence[Path], out: Path, teacher: Path | None = None) -> list[Path]:
+def make_scenes(data: Path, labels: Sequence[Path], out: Path, teacher: Path | None = None) -> list[Path]:
     """Write a scene for each real training image into out, once; return the files in order.
 
     Args:
         data: folder that holds kitti_raw_train and camvid, or one of them.
-        labels: files of labelled odometry views, see pseudo.prepare.
+        labels: files of labelled odometry views, see pseudo_labels.label_drives.
         out: folder for the scenes.
         teacher: folder of a teacher's maps of the odometry views.
     """
     return [*_odometry(labels, out, teacher), *_slow(data, out), *_camvid(data, out)]
 
 
-def from_match(left: Image, matched_px: FloatMap, teacher_px: FloatMap | None = None) -> Scene:
+def from_match(left: Image, matched_px: FloatMap, teacher_px: FloatMap | None = None) -> DisparityImage:
     """Make a scene of a real pair's left view (h, w) and what was matched (h, w), px, 0 = none."""
     smooth_px, _ = diffuse(matched_px, left)
     if teacher_px is not None:
-        calm = (matched_px > 0) & (np.abs(matched_px - smooth_px) < pseudo.CALM_PX)
-        smooth_px = np.maximum(teacher_px - pseudo.offset(teacher_px, smooth_px, calm), np.float32(0.1))
-    sky = pseudo.find_sky(left, matched_px)[0]
-    return Scene(left, np.where(sky, np.float32(0), sharpen(smooth_px)), sky)
+        calm = (matched_px > 0) & (np.abs(matched_px - smooth_px) < CALM_PX)
+        smooth_px = np.maximum(teacher_px - offset(teacher_px, smooth_px, calm), np.float32(0.1))
+    sky = find_sky(left, matched_px)[0]
+    return DisparityImage(left, np.where(sky, np.float32(0), sharpen(smooth_px)), sky)
 
 
-def from_lidar(image: Image, depth_m: FloatMap) -> Scene:
+def from_lidar(image: Image, depth_m: FloatMap) -> DisparityImage:
     """Make a scene of an image and its completed depth (h, w), metres, 0 = none."""
     sky = sky_mask(image) & (depth_m == 0)
     disparity_px = np.where(depth_m > 0, np.float32(REACH) / np.maximum(depth_m, np.float32(0.5)), np.float32(0))
     disparity_px = sharpen(fill_nearest(disparity_px, depth_m > 0))
-    return Scene(image, np.where(sky, np.float32(0), disparity_px), sky)
+    return DisparityImage(image, np.where(sky, np.float32(0), disparity_px), sky)
 
 
 def lay_out(labels: npt.NDArray[np.uint8], rng: np.random.Generator) -> FloatMap:
@@ -104,11 +108,11 @@ def lay_out(labels: npt.NDArray[np.uint8], rng: np.random.Generator) -> FloatMap
 def _odometry(labels: Sequence[Path], out: Path, teacher: Path | None) -> list[Path]:
     paths = [out / path.name for path in labels]
     for labelled, path in zip(labels, paths, strict=True):
-        map_ = pseudo.find(teacher, path.stem)
-        if not pseudo.fresh(path, map_):
-            image = pseudo.read(labelled).left
-            taught = None if map_ is None else pseudo.read_map(map_, image.shape)
-            write(path, from_match(image, pseudo.read_matched(labelled), taught))
+        map_ = find_map(teacher, path.stem)
+        if not is_fresh(path, map_):
+            image = read_left(labelled)
+            taught = None if map_ is None else read_map(map_, image.shape)
+            write_image(path, from_match(image, read_matched(labelled), taught))
     return paths
 
 
@@ -118,27 +122,27 @@ def _slow(data: Path, out: Path) -> list[Path]:
     if not (data / SLOW).is_dir():
         return []
     drive = KittiRaw(data / SLOW)
-    paths = [out / f"slow_{id_}.npz" for id_ in drive.ids]
+    paths = [out / f"{SLOW_NAME}_{id_}.npz" for id_ in drive.ids]
     for index, path in enumerate(paths):
         if not path.exists():
             frame = drive[index]
-            write(path, from_lidar(frame.image(), Completion(source="lidar")(frame).depth_m))
+            write_image(path, from_lidar(frame.image(), Completion(source="lidar")(frame).depth_m))
     return paths
 
 
 def _camvid(data: Path, out: Path) -> list[Path]:
     paths = []
-    for number, file in enumerate(sorted((data / "camvid" / "train").glob("*.jpg"))):
-        path = out / f"camvid_{file.stem}.npz"
+    for number, file in enumerate(sorted((data / CAMVID / "train").glob("*.jpg"))):
+        path = out / f"{CAMVID}_{file.stem}.npz"
         paths.append(path)
         if path.exists():
             continue
-        image, labels = read_image(file), read_image(data / "camvid" / "trainannot" / f"{file.stem}.png")
+        image, labels = read_image(file), read_image(data / CAMVID / "trainannot" / f"{file.stem}.png")
         size = round(LARGER * image.shape[1]), round(LARGER * image.shape[0])
         image = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_CUBIC), np.uint8)
         labels = np.asarray(cv2.resize(labels, size, interpolation=cv2.INTER_NEAREST), np.uint8)
         sky: Mask = np.asarray(labels == SKY)
-        write(path, Scene(image, lay_out(labels, np.random.default_rng([number, 31])), sky))
+        write_image(path, DisparityImage(image, lay_out(labels, np.random.default_rng([number, 31])), sky))
     return paths
 
 
