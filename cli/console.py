@@ -93,9 +93,9 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
 @contextmanager
 def train_progress(label: str) -> Iterator[Callable[..., None]]:
     """Show loss, error and time left of a network's training on a terminal, a line every 100 steps in a pipe."""
-    from priors.learn.loop import Progress as Status
+    from priors.learn.loop import TrainProgress
 
-    def line(status: Status) -> str:
+    def line(status: TrainProgress) -> str:
         return f"step {status.step}, " + ", ".join(f"{k} {v:.3g}" for k, v in status.values.items())
 
     if err.is_terminal:
