@@ -1,7 +1,11 @@
 """Build a prior: drive x method x filters -> cache. What is there already is not made again.
 
-job = build.prepare(open_drive(Path("street")), Stereo())
-prior = job.run().prior
+From Python:
+
+    job = build.prepare(open_drive(Path("street")), Stereo())
+    prior = job.run().prior
+
+`priors build` does the same, and prints what `Job.plan` says between the two.
 """
 
 import threading
@@ -173,8 +177,8 @@ def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder
         "encoding": "kitti",
         "drive": {"name": drive.name, **drive.describe()},
     }
-    earlier = keys.find(folder / drive.name, manifest, method)
-    key = keys.key(manifest, method) if earlier is None else earlier.manifest["key"]
+    earlier = keys.find(folder / drive.name, manifest, type(method))
+    key = keys.key(manifest, type(method)) if earlier is None else earlier.manifest["key"]
     home = folder / drive.name / f"{method.name}-{key}" if earlier is None else earlier.folder
     return Job(drive, method, filters, Prior(home, {**manifest, "key": key}))
 

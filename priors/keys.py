@@ -13,7 +13,6 @@ from typing import Any
 from priors.cache import Prior, load
 from priors.errors import DataError
 from priors.records import Record, original, upgrade
-from priors.types import Method
 
 LENGTH = 10
 DECIDES = ("method", "version", "config", "filters", "sky", "weights", "fingerprint", "maps", "camera", "encoding")
@@ -27,23 +26,23 @@ def key_of(parts: Record) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:LENGTH]
 
 
-def key(manifest: Record, method: Method) -> str:
-    """Return the key of the maps that a manifest describes and a method (resolved) makes."""
-    return key_of({name: manifest[name] for name in DECIDES} | {"config": original(method)})
+def key(manifest: Record, kind: type[Any]) -> str:
+    """Return the key of the maps that a manifest of today describes; its config is one of this kind of method."""
+    return key_of({name: manifest[name] for name in DECIDES} | {"config": original(kind, manifest["config"])})
 
 
-def find(drive: Path, manifest: Record, method: Method) -> Prior | None:
+def find(drive: Path, manifest: Record, kind: type[Any]) -> Prior | None:
     """Return the prior among a drive's that is of the same decisions as a manifest; None where there is none.
 
     A folder whose manifest cannot be read is left alone: its maps are nobody's.
     """
-    wanted = _decisions(manifest, type(method))
+    wanted = _decisions(manifest, kind)
     for folder in sorted(drive.glob(f"{manifest['method']}-*")):
         try:
             prior = load(folder)
         except DataError:
             continue
-        if _decisions(prior.manifest, type(method)) == wanted:
+        if _decisions(prior.manifest, kind) == wanted:
             return prior
     return None
 

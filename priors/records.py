@@ -53,12 +53,20 @@ def upgrade(kind: type[Any], old: Record) -> Record:
     return new
 
 
-def original(config: Any) -> Record:
-    """Return a config's record in the names that its fields had first: what keys are made of.
-
-    `upgrade` undoes it.
-    """
-    return _first_names(type(config), record(config))
+def original(kind: type[Any], new: Record) -> Record:
+    """Return a record of today in the names that its fields had first: what keys are made of; `upgrade` undoes it."""
+    old = _plain(new)
+    for name, place in aliases(kind).items():
+        parts = (place,) if isinstance(place, str) else place
+        values = [_take(old, part) for part in parts]
+        if all(value is MISSING for value in values):
+            continue  # an older name has it
+        old[name] = values[0] if isinstance(place, str) else None if values == [None] * len(values) else values
+    for name, nested in _nested(kind, old):
+        old[name] = original(nested, old[name])
+        if not old[name]:  # all of it was beside the others before
+            del old[name]
+    return old
 
 
 def restore(kind: type[Config], old: Record) -> Config:
@@ -80,20 +88,6 @@ def nested_config(hint: Any) -> type[Any] | None:
     if get_origin(hint) in (Annotated, Union, UnionType):
         return next((found for part in get_args(hint) if (found := nested_config(part))), None)
     return hint if isinstance(hint, type) and is_dataclass(hint) else None
-
-
-def _first_names(kind: type[Any], new: Record) -> Record:
-    for old, place in aliases(kind).items():
-        parts = (place,) if isinstance(place, str) else place
-        values = [_take(new, part) for part in parts]
-        if all(value is MISSING for value in values):
-            continue  # an older name has it
-        new[old] = values[0] if isinstance(place, str) else None if values == [None] * len(values) else values
-    for name, nested in _nested(kind, new):
-        new[name] = _first_names(nested, new[name])
-        if not new[name]:  # all of it was beside the others before
-            del new[name]
-    return new
 
 
 def _nested(kind: type[Any], of: Record) -> list[tuple[str, type[Any]]]:

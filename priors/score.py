@@ -1,7 +1,11 @@
 """Scores: the maps of a prior against a drive's truth; the result is kept as metrics.json beside the maps.
 
-prior = cache.only(Path("cache/DRIVE/stereo-KEY"))
-score(prior).result.metrics()["abs_rel"]
+From Python:
+
+    prior = cache.only(Path("cache/DRIVE/stereo-KEY"))
+    score(prior).result.metrics()["abs_rel"]
+
+`priors eval` does the same for each prior, and prints a table.
 """
 
 from collections.abc import Callable, Iterator

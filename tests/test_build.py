@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -56,6 +56,7 @@ class Plane(Method):
     fails_on: str = ""
     interrupts_on: str = ""
     calls = []  # noqa: RUF012 - the test's own counter
+    VERSION: ClassVar[int] = 1
 
     @property
     def reads(self) -> tuple[Input, ...]:

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.curves import Samples, curves
+from eval.curves import ScoredPixels, curves
 from eval.protocol import preset
 from eval.result import Result, score
 from eval.typeset import Column, lay_out
@@ -134,7 +134,7 @@ def scored(name: str, factor: float) -> Result:
 def test_the_page_of_scores() -> None:
     results = [scored("good", 1.01), scored("bad", 1.2)]
     random = np.random.default_rng(0)
-    samples = Samples(random.uniform(5, 50, 200), random.uniform(5, 50, 200), random.random(200))
+    samples = ScoredPixels(random.uniform(5, 50, 200), random.uniform(5, 50, 200), random.random(200))
     made = {"good": [curves(samples, "abs_rel"), curves(samples, "rmse")]}
     html = scores_page(results, ("abs_rel", "rmse"), made, [], "priors eval cache").html()
     read = Reader(html)
@@ -153,7 +153,7 @@ def test_errors_by_distance_stand_at_the_ranges_middles() -> None:
 
 
 def test_sparsification_is_drawn_as_it_was_found() -> None:
-    samples = Samples(np.array([10.0, 20, 30]), np.array([10.0, 25, 60]), np.array([0.9, 0.5, 0.1]))
+    samples = ScoredPixels(np.array([10.0, 20, 30]), np.array([10.0, 25, 60]), np.array([0.9, 0.5, 0.1]))
     found = curves(samples, "rmse")
     (plot,) = sparsification("stereo", [found])
     assert (plot.title, plot.y_label) == ("stereo", "RMSE, m")

@@ -25,6 +25,7 @@ from priors.street.write import write_street
 from priors.types import Drive
 
 FRAMES = 3
+README = Path(__file__).resolve().parents[1] / "README.md"
 
 
 @pytest.fixture(scope="module")
@@ -89,6 +90,17 @@ def test_frames_are_paired_by_id(home: Path) -> None:
     score_pairs(pairs, name="mine", on_frame=seen.append)
     assert seen == pairs.ids
     assert json.loads((lidar.folder / "metrics.json").read_text())["info"]["prior"] == "mine"
+
+
+def test_the_readme_s_python_runs(home: Path, tmp_path: Path) -> None:
+    """It builds and scores the street, and makes a map of its first frame."""
+    (tmp_path / "street").symlink_to(home / "street")
+    (code,) = re.findall(r"^```python\n(.*?)^```", README.read_text(), re.MULTILINE | re.DOTALL)
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    built = cache.only(tmp_path / "cache")
+    assert len(built.ids()) == FRAMES
+    assert float(done.stdout) == pytest.approx(Result.load(built.folder / "metrics.json").metrics()["abs_rel"])
 
 
 def test_another_prior_can_be_the_truth(home: Path) -> None:

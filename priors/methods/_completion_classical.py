@@ -22,7 +22,7 @@ from priors.errors import DataError
 from priors.types import Camera, Depth, FloatMap, Image, Mask, Matrix
 
 if TYPE_CHECKING:  # keeps the kernels out of --help
-    from priors.kernels.samples import Samples
+    from priors.kernels.sparse_samples import SparseSamples
 
 SHRINK, LEVELS = 6, 3  # from one level to the next, and how many: the coarsest cell is 36 pixels
 EVERYWHERE_PX = 1 << 20  # as reach_px: a value in every pixel
@@ -79,26 +79,26 @@ def complete(
     return _finish(samples, filled, reach_px, grey.shape)
 
 
-def list_samples(sparse_m: FloatMap) -> "Samples":
+def list_samples(sparse_m: FloatMap) -> "SparseSamples":
     """List the samples of a sparse depth map (height, width), metres."""
-    from priors.kernels.samples import gather
+    from priors.kernels import sparse_samples as kernels
 
-    return gather(np.ascontiguousarray(sparse_m, dtype=np.float32))
+    return kernels.list_samples(np.ascontiguousarray(sparse_m, dtype=np.float32))
 
 
-def clean_map(samples: "Samples", size: tuple[int, ...]) -> FloatMap:
+def clean_map(samples: "SparseSamples", size: tuple[int, ...]) -> FloatMap:
     """Return samples as a sparse depth map (height, width), metres."""
     sparse_m = np.zeros(size, np.float32)
     sparse_m[samples.row, samples.column] = 1 / samples.inverse
     return sparse_m
 
 
-def inverse_limits(samples: "Samples") -> tuple[np.float32, np.float32]:
+def inverse_limits(samples: "SparseSamples") -> tuple[np.float32, np.float32]:
     """Return the least and the largest inverse depth (1/m) that may come out."""
     return np.float32(samples.inverse.min() * 0.8), np.float32(samples.inverse.max() * 1.25)
 
 
-def near_samples(samples: "Samples", size: tuple[int, ...], reach_px: int) -> Mask:
+def near_samples(samples: "SparseSamples", size: tuple[int, ...], reach_px: int) -> Mask:
     """Tell which pixels (height, width) are within reach_px (to within 4) of a sample."""
     return _near(samples, size, reach_px)[: size[0], : size[1]] > 0
 
@@ -114,9 +114,9 @@ class _Filled(NamedTuple):
     """Width of the border, pixels."""
 
 
-def _drop_covered(samples: "Samples", camera: Camera, T_cam_lidar: Matrix) -> tuple["Samples", FloatMap]:
+def _drop_covered(samples: "SparseSamples", camera: Camera, T_cam_lidar: Matrix) -> tuple["SparseSamples", FloatMap]:
     """Return the samples that the camera sees, and the doubt about each."""
-    from priors.kernels import samples as kernels
+    from priors.kernels import sparse_samples as kernels
 
     gap_y, gap_x = _gaps(samples)
     x, y, z = T_cam_lidar[:3, 3]
@@ -133,28 +133,28 @@ def _drop_covered(samples: "Samples", camera: Camera, T_cam_lidar: Matrix) -> tu
     return kernels.keep(*samples, visible), likely[visible]
 
 
-def _gaps(samples: "Samples") -> tuple[float, float]:
+def _gaps(samples: "SparseSamples") -> tuple[float, float]:
     """Return the samples' spacing down and across, pixels, 1 or more."""
-    from priors.kernels.samples import gaps
+    from priors.kernels.sparse_samples import gaps
 
     down, across = gaps(samples.row_start, samples.row, samples.column, LARGEST_GAP_PX, 1 + len(samples.row) // 300)
     return max(down, 1.0), max(across, 1.0)
 
 
-def _fill(samples: "Samples", doubt: FloatMap, image: Image, contrast: np.float32, levels: int) -> _Filled:
+def _fill(samples: "SparseSamples", doubt: FloatMap, image: Image, contrast: np.float32, levels: int) -> _Filled:
     """Spread the samples over a grey image; holes are filled from the next coarser level."""
-    from priors.kernels import samples as kernels
-    from priors.kernels import spread
+    from priors.kernels import plane_propagation as propagation
+    from priors.kernels import sparse_samples as kernels
 
     inverse = samples.inverse
     gap_y, gap_x = _gaps(samples)
     reach_y, reach_x = max(round(1.15 * gap_y), 3), max(round(2 * gap_x), 3)
-    runs = -(-2 * reach_x // spread.LANES)
-    pad = max(reach_y, spread.LANES * runs // 2)
+    runs = -(-2 * reach_x // propagation.LANES)
+    pad = max(reach_y, propagation.LANES * runs // 2)
     guide = cv2.copyMakeBorder(image, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     work = _SCRATCH.hold(f"level {levels}", (4, *guide.shape))
     cost, value, top, bottom = work
-    cost.fill(spread.NOTHING)
+    cost.fill(propagation.NOTHING)
     work[2:].fill(0)
     place = samples.row + pad, samples.column + pad, inverse
     tolerance = SAME_SURFACE * inverse + SAME_SURFACE_PER_M
@@ -163,14 +163,14 @@ def _fill(samples: "Samples", doubt: FloatMap, image: Image, contrast: np.float3
     handicap = np.float32(DOUBT) * doubt - np.float32(FARNESS) * np.log(inverse)
     planes = (*place, *slopes, handicap - handicap.min(), reach_y, runs)
     scale = np.float32(1 / (FAR_Y * gap_y) ** 2), np.float32(1 / (FAR_X * gap_x) ** 2)
-    spread.choose(*planes, *scale, guide, contrast, cost, value)
-    spread.blend(*planes, *scale, value, AGREE, AGREE_PER_M, top, bottom)
+    propagation.assign(*planes, *scale, guide, contrast, cost, value)
+    propagation.average(*planes, *scale, value, AGREE, AGREE_PER_M, top, bottom)
     coarse = _fill_coarsely(samples, image, contrast, levels - 1)
-    spread.settle(cost, top, bottom, pad, coarse.inverse, coarse.certain, coarse.pad, SHRINK)
+    propagation.fill_holes(cost, top, bottom, pad, coarse.inverse, coarse.certain, coarse.pad, SHRINK)
     return _Filled(top, cost, pad)
 
 
-def _fill_coarsely(samples: "Samples", image: Image, contrast: np.float32, levels: int) -> _Filled:
+def _fill_coarsely(samples: "SparseSamples", image: Image, contrast: np.float32, levels: int) -> _Filled:
     """Fill a sixth of the size by so many levels; where none is left, everything is the samples' median."""
     if levels < 1:
         return _Filled(np.full((1, 1), np.median(samples.inverse), np.float32), np.full((1, 1), UNSUPPORTED), 0)
@@ -180,9 +180,9 @@ def _fill_coarsely(samples: "Samples", image: Image, contrast: np.float32, level
     return _fill(thinned, np.zeros_like(thinned.inverse), small, contrast, levels)
 
 
-def _finish(samples: "Samples", filled: _Filled, reach_px: int, size: tuple[int, ...]) -> Depth:
+def _finish(samples: "SparseSamples", filled: _Filled, reach_px: int, size: tuple[int, ...]) -> Depth:
     """Clean the inverse depth up and turn it into depth with confidence (height, width)."""
-    from priors.kernels import spread
+    from priors.kernels import plane_propagation as propagation
 
     depth_m, confidence = np.empty(size, np.float32), np.empty(size, np.float32)
     crisp, soft = _SCRATCH.hold("finish", (2, *size))
@@ -190,11 +190,11 @@ def _finish(samples: "Samples", filled: _Filled, reach_px: int, size: tuple[int,
     cv2.medianBlur(filled.inverse[pad : pad + size[0], pad : pad + size[1]], 5, dst=crisp)
     cv2.GaussianBlur(crisp, (3, 3), 0, dst=soft)
     near = _near(samples, size, reach_px)
-    spread.finish(crisp, soft, filled.certain, pad, near, *inverse_limits(samples), EDGE, depth_m, confidence)
+    propagation.to_depth(crisp, soft, filled.certain, pad, near, *inverse_limits(samples), EDGE, depth_m, confidence)
     return Depth(depth_m, confidence)
 
 
-def _near(samples: "Samples", size: tuple[int, ...], reach_px: int) -> npt.NDArray[np.uint8]:
+def _near(samples: "SparseSamples", size: tuple[int, ...], reach_px: int) -> npt.NDArray[np.uint8]:
     """Return 1 near a sample, else 0; up to CELL_PX - 1 rows and columns larger than size."""
     empty = _thin(samples, size, CELL_PX) == 0
     within = (CELL_PX * cv2.distanceTransform(empty.astype(np.uint8), cv2.DIST_L2, 3) <= reach_px).astype(np.uint8)
@@ -202,11 +202,11 @@ def _near(samples: "Samples", size: tuple[int, ...], reach_px: int) -> npt.NDArr
     return np.asarray(near, np.uint8)
 
 
-def _thin(samples: "Samples", size: tuple[int, ...], step: int) -> FloatMap:
+def _thin(samples: "SparseSamples", size: tuple[int, ...], step: int) -> FloatMap:
     """Return the sparse map that is step times smaller, metres: the nearest sample in every cell."""
-    from priors.kernels.samples import thin
+    from priors.kernels.sparse_samples import downsample
 
-    return thin(samples.row, samples.column, samples.inverse, step, *_smaller(size, step))
+    return downsample(samples.row, samples.column, samples.inverse, step, *_smaller(size, step))
 
 
 def _smaller(size: tuple[int, ...], step: int) -> tuple[int, int]:

@@ -69,9 +69,9 @@ def by_drive(
     on_note: Callable[[str], None],
 ) -> Align:
     """Align every frame by one line, fitted to some of these frames of the drive."""
-    from priors.adapt.finetune import MOST_VIEWS, thin
+    from priors.adapt.selection import MOST_VIEWS, pick_evenly
 
-    few = thin(indices, MOST_VIEWS)
+    few = pick_evenly(indices, MOST_VIEWS)
     frames = [drive[index] for index in few[:: max(1, len(few) // MOST_ALIGNED)]]
     values = [predict(frame.image(), frame.camera).values for frame in frames]
     known_m = [reference(frame) for frame in frames]

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 import torch
 from torch import nn
 
-from priors.adapt.finetune import AdaptConfig, adapt
+from priors.adapt.finetune import AdaptConfig, fine_tune
 from priors.errors import DataError
 from priors.keys import key_of
 from priors.methods._mono_estimator import Prediction
 from priors.methods._mono_supervision import PlannedSupervision
 from priors.methods._network import Network
 from priors.nets import runtime, weights
-from priors.records import original
+from priors.records import original, record
 from priors.types import Camera, Drive, Image
 
 if TYPE_CHECKING:  # onnxruntime's half is loaded where it is asked for
@@ -58,7 +58,7 @@ def adapted_weights(
         "drive": drive.fingerprint(),
         "frames": planned.frames,
         "known": planned.decides,
-        "config": original(config),
+        "config": original(AdaptConfig, record(config)),
     }
     path = folder / f"mono-{key_of(decides)}.safetensors"
     if path.is_file():
@@ -88,4 +88,4 @@ def _adapt(
     def tell(done: float, error: float) -> None:
         on_note(f"mono: adapting, {done:.0%}: {supervision.measures} {error:.3f}")
 
-    return adapt(net, supervision, config, tell, bf16)
+    return fine_tune(net, supervision, config, tell, bf16)

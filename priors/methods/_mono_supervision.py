@@ -8,14 +8,15 @@ import numpy as np
 from torch import nn
 
 from priors import geometry
-from priors.adapt.clips import pair_up
-from priors.adapt.depth_supervision import Measured
-from priors.adapt.finetune import MOST_VIEWS, AdaptConfig, Supervision, gather, thin
-from priors.adapt.video_supervision import LEARNING_RATE, Video, read_clip
-from priors.adapt.views import View, label_sky
+from priors.adapt.depth_supervision import DepthSupervision
+from priors.adapt.finetune import AdaptConfig, Supervision
+from priors.adapt.posed_views import pair_up
+from priors.adapt.selection import MOST_VIEWS, pick_evenly, read_each
+from priors.adapt.video_supervision import LEARNING_RATE, VideoSupervision, read_posed_view
+from priors.adapt.views import LabelledView, label_sky
 from priors.errors import DataError
 from priors.methods._reference import ReferenceDepth
-from priors.records import original
+from priors.records import original, record
 from priors.types import Drive, Frame, Matrix
 
 
@@ -37,13 +38,15 @@ class PlannedSupervision:
 
 def by_depth(drive: Drive, indices: Sequence[int], reference: ReferenceDepth) -> PlannedSupervision:
     """Plan to learn on the reference depth of a few of the frames."""
-    picked = thin(indices, MOST_VIEWS)
+    picked = pick_evenly(indices, MOST_VIEWS)
 
     def read(start: nn.Module, bf16: bool) -> Supervision:
-        return Measured(gather(drive, picked, lambda index: as_view(drive[index], reference), reference.source))
+        return DepthSupervision(
+            read_each(drive, picked, lambda index: as_view(drive[index], reference), reference.source)
+        )
 
     ids = [drive.ids[index] for index in picked]
-    return PlannedSupervision(f"{reference.source} depth", ids, original(reference), read)
+    return PlannedSupervision(f"{reference.source} depth", ids, original(ReferenceDepth, record(reference)), read)
 
 
 def by_video(drive: Drive, indices: Sequence[int]) -> PlannedSupervision:
@@ -54,22 +57,26 @@ def by_video(drive: Drive, indices: Sequence[int]) -> PlannedSupervision:
     pairs = pair_up(drive, indices, MOST_VIEWS)
 
     def read(start: nn.Module, bf16: bool) -> Supervision:
-        clips = gather(drive, list(pairs), lambda i: read_clip(drive, i, pairs[i], start, bf16), "posed images")
-        return Video(clips)
+        views = read_each(
+            drive, list(pairs), lambda i: read_posed_view(drive, i, pairs[i], start, bf16), "posed images"
+        )
+        return VideoSupervision(views)
 
     near = [[[drive.ids[other], _motion(drive[index], drive[other])] for other in pairs[index]] for index in pairs]
     frames, decides = [drive.ids[index] for index in pairs], {"source": "video", "seen": near}
     return PlannedSupervision("posed neighbours", frames, decides, read, LEARNING_RATE)
 
 
-def as_view(frame: Frame, reference: ReferenceDepth) -> View:
+def as_view(frame: Frame, reference: ReferenceDepth) -> LabelledView:
     """Return a frame as what the network learns from; DataError where it has no reference depth."""
     image, depth_m = frame.image(), reference(frame)
     if depth_m.shape != image.shape[:2]:
         raise DataError(f"frame {frame.id}: image {image.shape[:2]} and depth {depth_m.shape} differ in size")
     if not np.any(depth_m > 0):
         raise DataError(f"frame {frame.id}: no {reference.source} depth in its image")
-    return View(image, frame.camera, np.asarray(depth_m, np.float32), label_sky(image, depth_m), reference.source)
+    return LabelledView(
+        image, frame.camera, np.asarray(depth_m, np.float32), label_sky(image, depth_m), reference.source
+    )
 
 
 def _motion(frame: Frame, other: Frame) -> list[float]:

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from priors.methods._network import Network
 from priors.nets import runtime, weights
-from priors.nets.confidence import Calibration
+from priors.nets.confidence import ConfidenceCalibration
 from priors.nets.export import Graph, Graphs
 from priors.pairs.matching import to_grey
 from priors.types import FloatMap, Image
@@ -37,7 +37,7 @@ class NetworkMatcher:
     run: Run
     """Called with the pair (1, 3, h, w), as `take` makes it, and the disparities to search; returns disparity,
     sigma (px) and doubt, each (h, w)."""
-    calibration: Calibration
+    calibration: ConfidenceCalibration
     take: Callable[[Image], Tensor] = runtime.as_bytes
     """How an image becomes what `run` takes."""
 
@@ -77,11 +77,11 @@ def open_matcher(network: Network) -> NetworkMatcher:
 def _open(network: Network, path: Path, _digest: str) -> NetworkMatcher:
     if path.suffix == ".onnx":
         graph = Graph(path)
-        calibration = Calibration.read(graph.about)
+        calibration = ConfidenceCalibration.read(graph.about)
         return NetworkMatcher(lambda left, right, largest_px: graph(left, right), calibration, runtime.as_input)
     chosen = network.decide()
     ready = runtime.open_net(network.model, network.size, chosen, path)
-    calibration = Calibration.read(ready.about)
+    calibration = ConfidenceCalibration.read(ready.about)
     if chosen == "onnx":
         return NetworkMatcher(Graphs(ready), calibration, runtime.as_input)
 

@@ -5,8 +5,8 @@
 
 Each line is scale * d + shift + tilt X + yaw X^2 + pitch X Y (priors/pairs/rectification.py), fitted to all frames, and
 how far it moves if frames are drawn anew. Ego-motion: corners are tracked into the next image, and the drive's poses
-say how far away they are. The teacher's maps are those that `python -m priors.learn.teach` makes with a network that is
-fine-tuned on KITTI's truth.
+say how far away they are. The teacher's maps are those that `python -m priors.learn.teacher_labels` makes with a
+network that is fine-tuned on KITTI's truth.
 """
 
 import argparse
@@ -20,7 +20,7 @@ import numpy as np
 from priors import drives
 from priors.drives import DriveOptions
 from priors.geometry import invert
-from priors.learn.pseudo import find
+from priors.learn.teacher_maps import find_map
 from priors.pairs.matching import match, to_grey
 from priors.pairs.read import read_pair
 from priors.pairs.rectification import RectificationError, Residuals, compare, compare_with_sweep, fit, join, row_slope
@@ -48,7 +48,7 @@ def main() -> None:
         drive = drives.open_drive(options.data / "kitti_odometry", options=DriveOptions(drive=sequence))
         show(f"odometry {sequence}, ego-motion", (by_motion(drive, index) for index in range(0, len(drive) - 1, STEP)))
         frames = (drive[index] for index in range(len(drive)))
-        named = ((frame, find(options.teacher, f"{sequence}_{frame.id}")) for frame in frames)
+        named = ((frame, find_map(options.teacher, f"{sequence}_{frame.id}")) for frame in frames)
         maps = [(frame, path) for frame, path in named if path is not None]
         show(f"odometry {sequence}, teacher", (by_teacher(frame, np.load(path)) for frame, path in maps))
 
