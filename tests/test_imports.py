@@ -1,4 +1,4 @@
-"""Importing `priors` or `nerf`, and opening a network, leaves the process as it was; the commands set it up for theirs."""
+"""Importing `priors` or `nerf`, and opening a network, leaves the process as it was; the commands set theirs up."""
 
 import ctypes
 import os
