@@ -17,7 +17,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from cli.compiling import Column, Watch
+from cli.compiling import CompilingColumn, Watch
 from priors.errors import DataError, UsageError
 
 PIPE_WIDTH = 160
@@ -55,7 +55,7 @@ def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
     """Show a progress bar; while it moves, what is compiled stands in its last column."""
     watch.bar_begins()
     try:
-        with Progress(*columns, Column(watch), console=err) as bar:
+        with Progress(*columns, CompilingColumn(watch), console=err) as bar:
             yield bar
     finally:
         watch.bar_ends()
@@ -93,9 +93,9 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
 @contextmanager
 def train_progress(label: str) -> Iterator[Callable[..., None]]:
     """Show loss, error and time left of a network's training on a terminal, a line every 100 steps in a pipe."""
-    from priors.learn.loop import Progress as Status
+    from priors.learn.loop import TrainProgress
 
-    def line(status: Status) -> str:
+    def line(status: TrainProgress) -> str:
         return f"step {status.step}, " + ", ".join(f"{k} {v:.3g}" for k, v in status.values.items())
 
     if err.is_terminal:

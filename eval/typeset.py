@@ -74,7 +74,7 @@ def lay_out(
     notes: Sequence[str] = (),
     group: int = 0,
 ) -> Table:
-    """Lay out rows of names and figures; rows whose first `group` names are alike, and follow, are ranked together."""
+    """Lay out rows of names and figures; neighbouring rows with the same first `group` names are ranked together."""
     names = [name for name, _ in rows]
     cells = [[column.write(row.get(key, math.nan)) for key, column in columns.items()] for _, row in rows]
     starts = [i for i in range(len(names)) if i == 0 or names[i][:group] != names[i - 1][:group]]

@@ -1,4 +1,4 @@
-"""Importing `priors` or `nerf`, and opening a network, leaves the process as it was; the commands set theirs up."""
+"""Importing `priors` or `nerf`, and opening a network, leaves the process as it was; the commands set it up."""
 
 import ctypes
 import os

@@ -218,7 +218,7 @@ def answers() -> list[torch.Tensor]:
     """What kernels make of the same random inputs: images, features, logits."""
     import numpy as np
 
-    from priors.nets import intake, matching, upsample
+    from priors.nets import matching, stereo_input, upsample
     from priors.nets.confidence import is_hidden
     from priors.sky import sky_mask
 
@@ -237,7 +237,7 @@ def answers() -> list[torch.Tensor]:
             matching.lookup_beside([left.permute(0, 2, 3, 1)], left, right, disparity_px, 4, [disparity_px]),
             *matching.expect(disparity_px, torch.arange(6.0)[None, None, None], 2),
             upsample.convex(disparity_px[:, :, :, :2].permute(0, 3, 1, 2), logits, 4),
-            *intake.take_in(pixels, pixels.flip(3), torch.bfloat16),
+            *stereo_input.preprocess(pixels, pixels.flip(3), torch.bfloat16),
         ]
 
 

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from priors.types import FloatMap, Image, Mask
 
 Colour: TypeAlias = tuple[int, int, int]
-Table: TypeAlias = npt.NDArray[np.uint8]
+ColourTable: TypeAlias = npt.NDArray[np.uint8]
 
 SCALE_NEAREST_M, SCALE_FARTHEST_M = 3.0, 80.0
 ERROR_STEPS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
@@ -22,13 +22,13 @@ MISSING: Colour = (74, 72, 76)
 """Error map: there is a truth, but the method has no value."""
 
 
-def _table(code: int, first: int = 0, last: int = 255) -> Table:
+def _table(code: int, first: int = 0, last: int = 255) -> ColourTable:
     """Return one of OpenCV's colour maps, its part first..last, as (256, 3) RGB."""
     ramp = np.rint(np.linspace(first, last, 256)).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(ramp[:, None], code)[:, 0, ::-1], dtype=np.uint8)
 
 
-def _blend(colours: Sequence[Colour], steps: int) -> Table:
+def _blend(colours: Sequence[Colour], steps: int) -> ColourTable:
     """Interpolate between colours: (steps, 3) RGB."""
     at = np.linspace(0, len(colours) - 1, steps)
     anchors = np.array(colours, dtype=np.float64)
@@ -66,7 +66,7 @@ def colour_error(prediction_m: FloatMap, truth_m: FloatMap) -> Image:
     return picture
 
 
-def _paint(table: Table, shares: npt.NDArray[np.floating], valid: Mask) -> Image:
+def _paint(table: ColourTable, shares: npt.NDArray[np.floating], valid: Mask) -> Image:
     """Look shares of [0, 1] up in a table of colours."""
     last = len(table) - 1
     picture = table[np.rint(np.clip(shares, 0, 1) * last).astype(np.intp)]

@@ -17,7 +17,7 @@ from priors.draw.colours import (
     SCALE_FARTHEST_M,
     SCALE_NEAREST_M,
     Colour,
-    Table,
+    ColourTable,
     colour_confidence,
     colour_depth,
     colour_error,
@@ -38,7 +38,7 @@ SPARSE = 0.5
 class Bar:
     """A colour bar: what the colours of a tile mean."""
 
-    colours: Table
+    colours: ColourTable
     """(n, 3) RGB from left to right."""
     ticks: Sequence[tuple[float, str]]
     """Where along the bar, in [0, 1], and what is written there."""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import torch
 
-from priors.adapt.finetune import AdaptConfig, adapt
+from priors.adapt.finetune import AdaptConfig, fine_tune
 from priors.errors import DataError
 from priors.keys import key_of
 from priors.methods._mono_supervision import Lesson
@@ -84,7 +84,7 @@ def adapted_weights(
     def tell(done: float, error: float) -> None:
         on_note(f"mono: adapting, {done:.0%}: {supervision.measures} {error:.3f}")
 
-    adapted = adapt(net, supervision, config, tell, bf16)
+    adapted = fine_tune(net, supervision, config, tell, bf16)
     if not all(bool(torch.isfinite(p).all()) for p in adapted.parameters()):
         raise DataError("mono: adapting diverged: choose --mono.adapt none, or other frames")
     if not path.is_file():  # another machine of this build may have been faster: all use the same

@@ -8,11 +8,12 @@ import numpy as np
 from torch import nn
 
 from priors import geometry
-from priors.adapt.clips import pair_up
-from priors.adapt.depth_supervision import Measured
-from priors.adapt.finetune import MOST_VIEWS, AdaptConfig, Supervision, gather, thin
-from priors.adapt.video_supervision import LEARNING_RATE, Video, read_clip
-from priors.adapt.views import View, label_sky
+from priors.adapt.depth_supervision import DepthSupervision
+from priors.adapt.finetune import AdaptConfig, Supervision
+from priors.adapt.posed_views import pair_up
+from priors.adapt.selection import MOST_VIEWS, pick_evenly, read_each
+from priors.adapt.video_supervision import LEARNING_RATE, VideoSupervision, read_posed_view
+from priors.adapt.views import LabelledView, label_sky
 from priors.errors import DataError
 from priors.methods._reference import Known
 from priors.records import original, record
@@ -37,10 +38,10 @@ class Lesson:
 
 def by_depth(drive: Drive, indices: Sequence[int], known: Known) -> Lesson:
     """Teach by depth that the frames know, a few of them."""
-    picked = thin(indices, MOST_VIEWS)
+    picked = pick_evenly(indices, MOST_VIEWS)
 
     def read(start: nn.Module, bf16: bool) -> Supervision:
-        return Measured(gather(drive, picked, lambda index: as_view(drive[index], known), known.source))
+        return DepthSupervision(read_each(drive, picked, lambda index: as_view(drive[index], known), known.source))
 
     return Lesson(f"{known.source} depth", [drive.ids[index] for index in picked], original(Known, record(known)), read)
 
@@ -50,22 +51,24 @@ def by_video(drive: Drive, indices: Sequence[int]) -> Lesson:
     pairs = pair_up(drive, indices, MOST_VIEWS)
 
     def read(start: nn.Module, bf16: bool) -> Supervision:
-        clips = gather(drive, list(pairs), lambda i: read_clip(drive, i, pairs[i], start, bf16), "posed images")
-        return Video(clips)
+        views = read_each(
+            drive, list(pairs), lambda i: read_posed_view(drive, i, pairs[i], start, bf16), "posed images"
+        )
+        return VideoSupervision(views)
 
     seen = [[[drive.ids[other], _moved(drive[index], drive[other])] for other in pairs[index]] for index in pairs]
     frames, decides = [drive.ids[index] for index in pairs], {"source": "video", "seen": seen}
     return Lesson("posed neighbours", frames, decides, read, LEARNING_RATE)
 
 
-def as_view(frame: Frame, known: Known) -> View:
+def as_view(frame: Frame, known: Known) -> LabelledView:
     """Return a frame as what the network learns from; DataError where nothing is known."""
     image, depth_m = frame.image(), known(frame)
     if depth_m.shape != image.shape[:2]:
         raise DataError(f"frame {frame.id}: image {image.shape[:2]} and depth {depth_m.shape} differ in size")
     if not np.any(depth_m > 0):
         raise DataError(f"frame {frame.id}: no {known.source} depth in its image")
-    return View(image, frame.camera, np.asarray(depth_m, np.float32), label_sky(image, depth_m), known.source)
+    return LabelledView(image, frame.camera, np.asarray(depth_m, np.float32), label_sky(image, depth_m), known.source)
 
 
 def _moved(frame: Frame, other: Frame) -> list[float]:

@@ -11,7 +11,7 @@ import numpy as np
 from torch import Tensor
 
 from priors.nets import runtime, weights
-from priors.nets.confidence import Calibration
+from priors.nets.confidence import ConfidenceCalibration
 from priors.nets.export import Graph, Graphs
 from priors.pairs.matching import to_grey
 from priors.types import FloatMap, Image
@@ -36,7 +36,7 @@ class Network:
     run: Run
     """Called with the pair (1, 3, h, w), as `take` makes it, and the disparities to search; returns disparity,
     sigma (px) and doubt, each (h, w)."""
-    calibration: Calibration
+    calibration: ConfidenceCalibration
     take: Callable[[Image], Tensor] = runtime.as_bytes
     """How an image becomes what `run` takes."""
 
@@ -77,10 +77,12 @@ def _open(name: str, size: str, chosen: runtime.Runtime, path: Path, _digest: st
     if path.suffix == ".onnx":
         graph = Graph(path)
         return Network(
-            lambda left, right, largest_px: graph(left, right), Calibration.read(graph.about), runtime.as_input
+            lambda left, right, largest_px: graph(left, right),
+            ConfidenceCalibration.read(graph.about),
+            runtime.as_input,
         )
     ready = runtime.open_net(name, size, chosen, path)
-    calibration = Calibration.read(ready.about)
+    calibration = ConfidenceCalibration.read(ready.about)
     if chosen == "onnx":
         return Network(Graphs(ready), calibration, runtime.as_input)
 

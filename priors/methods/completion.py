@@ -29,7 +29,7 @@ from priors.sky import doubt, sky_mask
 from priors.types import Camera, Depth, FloatMap, Frame, Image, Mask, Matrix
 
 if TYPE_CHECKING:
-    from priors.kernels.samples import Samples
+    from priors.kernels.sparse_samples import SparseSamples
 
 SHRINK, LEVELS = 6, 3  # from one level to the next, and how many: the coarsest cell is 36 pixels
 EVERYWHERE_PX = 1 << 20  # as reach_px: a value in every pixel
@@ -133,7 +133,7 @@ class Completion:
         guidance: float = 1.0,
     ) -> Depth:
         """Fill a sparse map as `complete` does, and let the network correct it; where no sample is near, both are 0."""
-        from priors.kernels.samples import gather
+        from priors.kernels.sparse_samples import list_samples
         from priors.methods import _completion_network as network
         from priors.nets import runtime
 
@@ -141,7 +141,7 @@ class Completion:
             self.size, runtime.choose_floating(self.runtime, self.weights, self.model), self.weights
         )
         fill = complete(sparse_m, image, camera, T_cam_lidar, guidance, EVERYWHERE_PX)
-        samples = gather(np.ascontiguousarray(sparse_m, dtype=np.float32))
+        samples = list_samples(np.ascontiguousarray(sparse_m, dtype=np.float32))
         _, row, column, inverse = samples
         if not len(row):
             return fill  # no sample, no value
@@ -176,11 +176,11 @@ def complete(
 
     Raises DataError where the sizes differ.
     """
-    from priors.kernels import samples as kernels
+    from priors.kernels import sparse_samples as kernels
 
     if sparse_m.shape != image.shape[:2]:
         raise DataError(f"completion: sparse map {sparse_m.shape} and image {image.shape[:2]} differ in size")
-    samples = kernels.gather(np.ascontiguousarray(sparse_m, dtype=np.float32))
+    samples = kernels.list_samples(np.ascontiguousarray(sparse_m, dtype=np.float32))
     if not len(samples[3]):
         return Depth(np.zeros(sparse_m.shape, np.float32), np.zeros(sparse_m.shape, np.float32))
     doubt = np.zeros(len(samples[3]), np.float32)
@@ -191,9 +191,9 @@ def complete(
     return _finish(samples, *spread, reach_px, grey.shape)
 
 
-def _drop_covered(samples: "Samples", camera: Camera, T_cam_lidar: Matrix) -> tuple["Samples", FloatMap]:
+def _drop_covered(samples: "SparseSamples", camera: Camera, T_cam_lidar: Matrix) -> tuple["SparseSamples", FloatMap]:
     """Return the samples that the camera sees, and the doubt about each."""
-    from priors.kernels import samples as kernels
+    from priors.kernels import sparse_samples as kernels
 
     _, row, column, _ = samples
     gap_y, gap_x = _gaps(samples)
@@ -211,8 +211,8 @@ def _drop_covered(samples: "Samples", camera: Camera, T_cam_lidar: Matrix) -> tu
     return kernels.keep(*samples, kept), likely[kept]
 
 
-def _gaps(samples: "Samples") -> tuple[float, float]:
-    from priors.kernels.samples import gaps
+def _gaps(samples: "SparseSamples") -> tuple[float, float]:
+    from priors.kernels.sparse_samples import gaps
 
     row_start, row, column, _ = samples
     down, across = gaps(row_start, row, column, LARGEST_GAP_PX, 1 + len(row) // 300)
@@ -220,21 +220,21 @@ def _gaps(samples: "Samples") -> tuple[float, float]:
 
 
 def _spread(
-    samples: "Samples", doubt: FloatMap, image: Image, contrast: np.float32, levels: int
+    samples: "SparseSamples", doubt: FloatMap, image: Image, contrast: np.float32, levels: int
 ) -> tuple[FloatMap, FloatMap, int]:
     """Return inverse depth (1/m), how certain it is, and by how much both are padded; holes are filled."""
-    from priors.kernels import samples as kernels
-    from priors.kernels import spread
+    from priors.kernels import plane_propagation
+    from priors.kernels import sparse_samples as kernels
 
     _, row, column, inverse = samples
     gap_y, gap_x = _gaps(samples)
     reach_y, reach_x = max(round(1.15 * gap_y), 3), max(round(2 * gap_x), 3)
-    runs = -(-2 * reach_x // spread.LANES)
-    pad = max(reach_y, spread.LANES * runs // 2)
+    runs = -(-2 * reach_x // plane_propagation.LANES)
+    pad = max(reach_y, plane_propagation.LANES * runs // 2)
     guide = cv2.copyMakeBorder(image, pad, pad, pad, pad, cv2.BORDER_REPLICATE)
     work = _hold(f"level {levels}", (4, *guide.shape))
     cost, value, top, bottom = work
-    cost.fill(spread.NOTHING)
+    cost.fill(plane_propagation.NOTHING)
     work[2:].fill(0)
     place = row + pad, column + pad, inverse
     tolerance = SAME_SURFACE * inverse + SAME_SURFACE_PER_M
@@ -243,24 +243,24 @@ def _spread(
     handicap = np.float32(DOUBT) * doubt - np.float32(FARNESS) * np.log(inverse)
     planes = (*place, *slopes, handicap - handicap.min(), reach_y, runs)
     scale = np.float32(1 / (FAR_Y * gap_y) ** 2), np.float32(1 / (FAR_X * gap_x) ** 2)
-    spread.choose(*planes, *scale, guide, contrast, cost, value)
-    spread.blend(*planes, *scale, value, AGREE, AGREE_PER_M, top, bottom)
+    plane_propagation.assign(*planes, *scale, guide, contrast, cost, value)
+    plane_propagation.average(*planes, *scale, value, AGREE, AGREE_PER_M, top, bottom)
     if levels > 1:
         size = _smaller(image.shape, SHRINK)
         small = np.asarray(cv2.resize(image, size[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
-        thinned = kernels.gather(_thin(samples, image.shape, SHRINK))
+        thinned = kernels.list_samples(_thin(samples, image.shape, SHRINK))
         coarse = _spread(thinned, np.zeros_like(thinned[3]), small, contrast, levels - 1)
     else:
         coarse = np.full((1, 1), np.median(inverse), np.float32), np.full((1, 1), UNSUPPORTED), 0
-    spread.settle(cost, top, bottom, pad, *coarse, SHRINK)
+    plane_propagation.fill_holes(cost, top, bottom, pad, *coarse, SHRINK)
     return top, cost, pad
 
 
 def _finish(
-    samples: "Samples", inverse: FloatMap, certain: FloatMap, pad: int, reach_px: int, size: tuple[int, ...]
+    samples: "SparseSamples", inverse: FloatMap, certain: FloatMap, pad: int, reach_px: int, size: tuple[int, ...]
 ) -> Depth:
     """Clean the inverse depth up and turn it into depth with confidence."""
-    from priors.kernels import spread
+    from priors.kernels import plane_propagation
 
     depth_m, confidence = np.empty(size, np.float32), np.empty(size, np.float32)
     crisp, soft = _hold("finish", (2, *size))
@@ -268,7 +268,7 @@ def _finish(
     cv2.GaussianBlur(crisp, (3, 3), 0, dst=soft)
     near = _near(samples, size, reach_px)
     limits = _limits(samples[3])
-    spread.finish(crisp, soft, certain, pad, near, *limits, EDGE, depth_m, confidence)
+    plane_propagation.to_depth(crisp, soft, certain, pad, near, *limits, EDGE, depth_m, confidence)
     return Depth(depth_m, confidence)
 
 
@@ -279,14 +279,14 @@ def _limits(inverse: FloatMap) -> tuple[np.float32, np.float32]:
 
 def near_samples(sparse_m: FloatMap, reach_px: int) -> Mask:
     """Tell which pixels (height, width) are within reach_px (to within 4) of a sample."""
-    from priors.kernels.samples import gather
+    from priors.kernels.sparse_samples import list_samples
 
     height, width = sparse_m.shape
-    near = _near(gather(np.ascontiguousarray(sparse_m, dtype=np.float32)), sparse_m.shape, reach_px)
+    near = _near(list_samples(np.ascontiguousarray(sparse_m, dtype=np.float32)), sparse_m.shape, reach_px)
     return near[:height, :width] > 0
 
 
-def _near(samples: "Samples", size: tuple[int, ...], reach_px: int) -> npt.NDArray[np.uint8]:
+def _near(samples: "SparseSamples", size: tuple[int, ...], reach_px: int) -> npt.NDArray[np.uint8]:
     """Return 1 near a sample, else 0; up to CELL_PX - 1 rows and columns larger than size."""
     empty = _thin(samples, size, CELL_PX) == 0
     within = (CELL_PX * cv2.distanceTransform(empty.astype(np.uint8), cv2.DIST_L2, 3) <= reach_px).astype(np.uint8)
@@ -308,8 +308,8 @@ def _smaller(size: tuple[int, ...], step: int) -> tuple[int, int]:
     return -(-size[0] // step), -(-size[1] // step)
 
 
-def _thin(samples: "Samples", size: tuple[int, ...], step: int) -> FloatMap:
+def _thin(samples: "SparseSamples", size: tuple[int, ...], step: int) -> FloatMap:
     """Return the sparse map that is step times smaller, metres: the nearest sample in every cell."""
-    from priors.kernels.samples import thin
+    from priors.kernels.sparse_samples import downsample
 
-    return thin(*samples[1:], step, *_smaller(size, step))
+    return downsample(*samples[1:], step, *_smaller(size, step))

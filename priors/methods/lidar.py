@@ -203,6 +203,6 @@ def confidence(depth_m: FloatMap, fx_px: float) -> FloatMap:
     It is the share of the neighbourhood that has values, over 1 + (spread / STEADY)^2 with the spread of their inverse
     depth (standard deviation over mean): high inside a surface that many samples hit, low at outlines and for strays.
     """
-    from priors.kernels.support import support
+    from priors.kernels.neighbour_support import support
 
     return support(depth_m, round(SUPPORT_RAD * fx_px), STEADY)

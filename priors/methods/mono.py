@@ -128,7 +128,7 @@ class Mono:
         """
         if self.adapt == "none" and (self.align == "none" or self.align_per == "frame"):
             return self
-        from priors.adapt.finetune import MOST_VIEWS, thin, training_views
+        from priors.adapt.selection import MOST_VIEWS, pick_evenly, training_views
         from priors.build import select
 
         chosen = select(drive.ids, self.frames)
@@ -139,7 +139,7 @@ class Mono:
         known = self._known(self.align_to, drive[indices[0]])
         if self.align_per == "frame":
             return lambda frame: self._finish(predict, frame, known=known)
-        few = thin(indices, MOST_VIEWS)
+        few = pick_evenly(indices, MOST_VIEWS)
         picked = [drive[index] for index in few[:: max(1, len(few) // MOST_ALIGNED)]]
         samples = [(predict(frame.image(), frame.camera)[0], known(frame)) for frame in picked]
         line = self._fit(samples, f"{drive.name}, {len(picked)} frames")

@@ -1,4 +1,4 @@
-"""Run networks: picks bf16, fp32, CUDA or onnxruntime from a table, loads each network once a process.
+"""Runtimes of networks: bf16, fp32, int8, CUDA or onnxruntime, picked from a table; each network is loaded once.
 
 Weights are cast once, memory is channels-last, convolutions are fused with what follows them. What is fastest differs
 with the CPU (speeds.py, docs/benchmarks.md). Nothing is measured at run time.

@@ -5,7 +5,8 @@
 
 Each line is scale * d + a + b X + c X^2 + e X Y (priors/pairs/offset.py), fitted to all frames, and how far it moves if
 frames are drawn anew. Ego-motion: corners are tracked into the next image, and the drive's poses say how far away they
-are. The teacher's maps are those that `python -m priors.learn.teach` makes with a network fine-tuned on KITTI's truth.
+are. The teacher's maps are those that `python -m priors.learn.teacher_labels` makes with a network fine-tuned on
+KITTI's truth.
 """
 
 import argparse
@@ -19,7 +20,7 @@ import numpy as np
 from priors import drives
 from priors.drives import DriveOptions
 from priors.geometry import invert
-from priors.learn.pseudo import find
+from priors.learn.teacher_maps import find_map
 from priors.pairs.matching import match, to_grey
 from priors.pairs.offset import Offset, Points, compare, fit_points, gather, slope
 from priors.pairs.read import read_pair
@@ -47,7 +48,7 @@ def main() -> None:
         drive = drives.open_drive(options.data / "kitti_odometry", options=DriveOptions(drive=sequence))
         show(f"odometry {sequence}, ego-motion", (by_motion(drive, index) for index in range(0, len(drive) - 1, STEP)))
         frames = (drive[index] for index in range(len(drive)))
-        named = ((frame, find(options.teacher, f"{sequence}_{frame.id}")) for frame in frames)
+        named = ((frame, find_map(options.teacher, f"{sequence}_{frame.id}")) for frame in frames)
         maps = [(frame, path) for frame, path in named if path is not None]
         show(f"odometry {sequence}, teacher", (by_teacher(frame, np.load(path)) for frame, path in maps))
 
