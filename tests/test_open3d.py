@@ -162,7 +162,7 @@ def test_the_command_writes_the_mesh_of_a_fitted_street(exact: Exact, o3d: Any, 
     run(tmp_path, "priors street street --frames 10 --size 208x64 --seed 7")
     run(tmp_path, "priors build street --method lidar")
     prior = next((tmp_path / "cache").glob("*/lidar-*"))
-    run(tmp_path, f"nerf fit street --prior {prior} --steps 300 --run run")
+    run(tmp_path, f"nerf fit street --prior {prior} --steps 200 --run run")
     told = run(tmp_path, "nerf export run --kind mesh --farthest-m 20 --voxel-m 0.2")
     mesh = o3d.io.read_triangle_mesh(str(tmp_path / "run" / "mesh.ply"))
     assert told.strip() == f"wrote run/mesh.ply: {len(mesh.triangles)} triangles"
