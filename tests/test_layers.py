@@ -31,6 +31,7 @@ ROOMS = [
     "priors/check",
     "priors/naming",
     "priors/report",
+    "priors/export",
     "priors/street",
     "priors/learn",
     "nerf",
