@@ -23,8 +23,8 @@ from priors.errors import DataError, UsageError
 PIPE_WIDTH = 160
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 
-out = Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+out = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+err = Console(stderr=True, highlight=False, emoji=False, soft_wrap=True)
 watch = Watch(err)
 """Tells when kernels are compiled."""
 

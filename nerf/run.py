@@ -15,11 +15,11 @@ from nerf import checkpoint
 from nerf.fit import FitConfig
 from nerf.scene import Progress, Scene, open_scene, silent
 from priors import cache, codecs
-from priors.build import select
 from priors.drives import reopen
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.records import restore
+from priors.selection import select
 from priors.types import Drive
 
 FORMAT = 1

@@ -14,7 +14,7 @@ from test_build import SIZE, Line
 from priors import build, cache, keys, methods
 from priors.filters import Filters
 from priors.records import Aliases, record
-from priors.types import Depth, Frame
+from priors.types import Depth, Frame, Input, Method
 
 whatever_the_load = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 values = st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text()
@@ -64,13 +64,16 @@ def test_keys_are_what_they_were(name: str) -> None:
     assert keys.key(manifest, kind) == PINNED[name]
 
 
-class Constant:
-    """Depth is a constant, whatever its fields are called."""
-
-    VERSION: ClassVar[int] = 1
+@dataclass(frozen=True)
+class Constant(Method):
+    """Depth is a constant, whatever its fields are called; all of these are versions of one method."""
 
     @property
-    def reads(self) -> tuple[str, ...]:
+    def name(self) -> str:
+        return "plane"
+
+    @property
+    def reads(self) -> tuple[Input, ...]:
         return ("image",)
 
     def resolve(self, frame: Frame) -> Any:
@@ -120,13 +123,11 @@ class Changed(Plane):
 
 
 def prepared(method: Any, folder: Path) -> cache.Prior:
-    return build.prepare(Line(), "plane", method, Filters(), folder)[0]
+    return build.prepare(Line(), method, folder=folder).prior
 
 
-def built(method: Any, folder: Path) -> build.Report:
-    drive, filters = Line(), Filters()
-    prior, method = build.prepare(drive, "plane", method, filters, folder)
-    return build.build(drive, prior, method, filters, build.plan(drive, prior, method.reads, build.Selection()))
+def built(method: Any, folder: Path) -> build.BuildReport:
+    return build.prepare(Line(), method, folder=folder).run()
 
 
 def test_renamed_fields_leave_the_key_alone(tmp_path: Path) -> None:

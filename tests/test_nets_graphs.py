@@ -153,21 +153,22 @@ def test_the_command_writes_a_file_that_opens(name: str, size: str, tmp_path: Pa
 
 
 def test_the_methods_run_in_onnxruntime(tmp_path: Path) -> None:
-    from priors.methods._mono_network import estimate, open_network
+    from priors.methods._mono_network import estimate
+    from priors.methods._network import Network
 
     rng = np.random.default_rng(0)
     image = rng.integers(0, 256, (45, 70, 3), dtype=np.uint8)
     camera = Camera(np.array([[100.0, 0, 35], [0, 100, 15], [0, 0, 1]]), (45, 70))
     file = tmp_path / "bts-s.safetensors"
     weights.write(file, network("bts", "s"), {"net": "bts", "size": "s"})
-    ours, theirs = (estimate(open_network("s", how, file), image, camera)[0] for how in ("onnx", "fp32"))
+    ours, theirs = (estimate(Network("bts", "s", how, file).open(), image, camera).values for how in ("onnx", "fp32"))
     np.testing.assert_allclose(ours, theirs, rtol=5e-3)
     assert Mono(size="s", runtime="onnx", weights=file).weights_digest()
     file = tmp_path / "mffnet-s.safetensors"
     weights.write(file, network("mffnet", "s"), {"net": "mffnet", "size": "s"})
     sparse_m = np.where(rng.random((45, 70)) < 0.1, np.float32(20), np.float32(0))
     made = [
-        Completion(model="mffnet", size="s", runtime=how, weights=file).mend(sparse_m, image, camera)
+        Completion(model="mffnet", size="s", runtime=how, weights=file).fill(sparse_m, image, camera)
         for how in ("onnx", "fp32")
     ]
     np.testing.assert_allclose(made[0].depth_m, made[1].depth_m, rtol=5e-3)

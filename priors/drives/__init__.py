@@ -17,7 +17,7 @@ from priors import extensions
 from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.drives._files import first_size as first_size
 from priors.drives._files import stems as stems
-from priors.errors import DataError
+from priors.errors import DataError, expect
 from priors.types import Drive
 
 __path__.extend(extensions.folders("drives"))
@@ -36,6 +36,10 @@ class DriveOptions:
     truth: Path | None = None
     """Folder with KITTI depth maps: holds train/<drive>/proj_depth or <drive>/proj_depth. For Argoverse 1: the folder
     that holds disparity_maps_v1.1."""
+
+    def __post_init__(self) -> None:
+        expect(self.drive != "", "--drive", "''", "a name, or leave it out")
+        expect(self.camera != "", "--camera", "''", "a name, or leave it out")
 
 
 def names() -> list[str]:

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from priors import geometry
-from priors.build import shard
 from priors.learn import pair_file
 from priors.learn.sample_folder import PER_WORLD, sample_path
 from priors.learn.stereo_pair import Sensors, StereoPair
+from priors.selection import shard
 from priors.street import lidar, rig
 from priors.street.config import StreetConfig
 from priors.street.street import Street

@@ -38,7 +38,7 @@ from priors.methods.mono import Mono
 from priors.methods.stereo import Stereo
 from priors.nets import int8, speeds
 from priors.nets.fused import available
-from priors.pairs.offset import NONE
+from priors.pairs.rectification import NONE
 from priors.types import Frame
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -161,9 +161,9 @@ def method(net: str, how: Any, frame: Frame) -> Callable[[], Any]:
     if net == "mffnet":
         completion = Completion(model="mffnet", size="s", runtime=how, source="lidar")
         sparse = completion.resolve(frame).lidar(frame).depth_m
-        return lambda: completion.mend(sparse, frame.image(), frame.camera)
+        return lambda: completion.fill(sparse, frame.image(), frame.camera)
     model: Any = net
-    stereo = Stereo(model=model, size="s", runtime=how, offset_px=NONE.field_px)
+    stereo = Stereo(model=model, size="s", runtime=how, offset_px=NONE.offset_px)
     return lambda: stereo(frame)
 
 
