@@ -37,14 +37,7 @@ def aliases(kind: type[Any]) -> Aliases:
 
 def upgrade(kind: type[Any], old: Record) -> Record:
     """Return a record in today's names; a field that it lacks has its default, where there is one."""
-    new: Record = {}
-    for name, value in old.items():
-        place = aliases(kind).get(name, name)
-        if isinstance(place, str):
-            _put(new, place, value)
-        elif value is not None:
-            for part, number in zip(place, value, strict=False):
-                _put(new, part, number)
+    new = _renamed(kind, old)
     for field in fields(kind):
         if field.name not in new and (default := _default(field)) is not MISSING:
             new[field.name] = default
@@ -76,7 +69,7 @@ def restore(kind: type[Config], old: Record) -> Config:
         TypeError: a value without a default is missing, or there is one that this version does not know.
         DataError: the config refuses a value.
     """
-    new, hints = upgrade(kind, old), get_type_hints(kind)
+    new, hints = _renamed(kind, old), get_type_hints(kind)
     unknown = new.keys() - {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown:
         raise TypeError(f"{min(unknown)} is not known to this version")
@@ -86,14 +79,27 @@ def restore(kind: type[Config], old: Record) -> Config:
 def nested_config(hint: Any) -> type[Any] | None:
     """Return the config that a field of this type holds: for `C` itself, `C | None` and `Annotated[C, ...]`."""
     if get_origin(hint) in (Annotated, Union, UnionType):
-        return next((found for part in get_args(hint) if (found := nested_config(part))), None)
+        return next((config for part in get_args(hint) if (config := nested_config(part))), None)
     return hint if isinstance(hint, type) and is_dataclass(hint) else None
+
+
+def _renamed(kind: type[Any], old: Record) -> Record:
+    """Return a record whose own entries have today's names; those of nested configs are left as they are."""
+    new: Record = {}
+    for name, value in _plain(old).items():
+        place = aliases(kind).get(name, name)
+        if isinstance(place, str):
+            _put(new, place, value)
+        elif value is not None:
+            for part, number in zip(place, value, strict=False):
+                _put(new, part, number)
+    return new
 
 
 def _nested(kind: type[Any], of: Record) -> list[tuple[str, type[Any]]]:
     """List the entries that are records of nested configs, with their types."""
-    found = [(name, nested_config(hint)) for name, hint in get_type_hints(kind).items()]
-    return [(name, nested) for name, nested in found if nested is not None and isinstance(of.get(name), dict)]
+    configs = [(name, nested_config(hint)) for name, hint in get_type_hints(kind).items()]
+    return [(name, config) for name, config in configs if config is not None and isinstance(of.get(name), dict)]
 
 
 def _put(into: Record, path: str, value: Any) -> None:

@@ -33,6 +33,7 @@ ROOMS = [
     "priors/naming",
     "priors/score",
     "priors/report",
+    "priors/export",
     "priors/street",
     "priors/learn",
     "nerf",

@@ -148,21 +148,6 @@ def test_a_mesh_without_open3d_says_what_is_missing(tmp_path, monkeypatch):
         write_mesh(tmp_path / "mesh.ply", wall, CAMERA, poses(0.0), CloudConfig())
 
 
-def test_a_mesh_by_open3d_lies_on_the_wall(tmp_path):
-    try:
-        import open3d
-    except (ImportError, OSError) as error:
-        pytest.skip(f"open3d cannot be imported: {error}")
-    triangles = write_mesh(tmp_path / "mesh.ply", wall, CAMERA, poses(0.0, 0.0), CloudConfig(voxel_m=0.2))
-    mesh = open3d.io.read_triangle_mesh(str(tmp_path / "mesh.ply"))
-    assert triangles == len(mesh.triangles) > 1000
-    vertices, colours = np.asarray(mesh.vertices), np.asarray(mesh.vertex_colors)
-    assert vertices[:, 2] == pytest.approx(WALL_M, abs=0.02)
-    assert colours[:, 0] == pytest.approx((vertices[:, 0] / WALL_M * 40 + 24) / 49, abs=0.05)  # as `wall` paints it
-    with pytest.raises(DataError, match="no surface in 1 views within 5 m"):
-        write_mesh(tmp_path / "none.ply", wall, CAMERA, poses(0.0), CloudConfig(farthest_m=5))
-
-
 def test_a_video_has_every_picture_in_order(tmp_path):
     steps = []
     path = tmp_path / "new" / "path.mp4"

@@ -76,9 +76,9 @@ def test_an_earlier_record_is_read_in_todays_names(old: dict[str, Any], changes:
 
 
 def test_reading_changes_nothing_of_what_is_read() -> None:
-    old = {"model": "cfnet", "network": {"width": 16}, "second": {"width": 8}}
+    old = {"network": {"width": 16}, "model": "cfnet", "second": {"width": 8}}
     upgrade(Today, old)
-    assert old == {"model": "cfnet", "network": {"width": 16}, "second": {"width": 8}}
+    assert old == {"network": {"width": 16}, "model": "cfnet", "second": {"width": 8}}
     today = record(Today(second=Network()))
     original(Today, today)
     assert today == record(Today(second=Network()))
