@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from cli.train import StereoArguments, started_from
-from priors.adapt.batch import Batch
+from priors.adapt.training_step import Batch
 from priors.errors import DataError
 from priors.learn.loop import TrainConfig, train
 from priors.types import Image

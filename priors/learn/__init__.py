@@ -1,1 +1,1 @@
-"""Training: it made the files in priors/weights, and makes yours. `priors train` is its command, see docs/training.md."""
+"""Training: made the files in priors/weights, and makes yours. `priors train` is its command, see docs/training.md."""
