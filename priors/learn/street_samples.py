@@ -137,8 +137,8 @@ def _scan(
     elevation = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
     middles = 0.5 * (lidar.ELEVATIONS_RAD[:-1] + lidar.ELEVATIONS_RAD[1:])
     beam = (63 - np.searchsorted(middles[::-1], elevation)).astype(np.uint8)
-    seen = geometry.transform(T_cam_velo, xyz)
-    uv, depth_m = geometry.project(camera, seen)
+    xyz_cam_m = geometry.transform(T_cam_velo, xyz)
+    uv, depth_m = geometry.project(camera, xyz_cam_m)
     height, width = camera.size
     inside = (depth_m > 0.5) & np.all((uv > -0.5) & (uv < [width - 0.5, height - 0.5]), axis=1)
-    return seen[inside].astype(np.float32), beam[inside]
+    return xyz_cam_m[inside].astype(np.float32), beam[inside]

@@ -27,8 +27,8 @@ OnCpu = Literal["bf16", "fp32", "int8", "onnx"]
 @cache
 def table() -> dict[str, Any]:
     """Return what was measured: machine, and for each mode and network the time of each runtime, in SGBM's times."""
-    found: dict[str, Any] = json.loads(FILE.read_text())
-    return found
+    measured: dict[str, Any] = json.loads(FILE.read_text())
+    return measured
 
 
 def fastest(mode: Mode, net: str | None, integers: bool = False) -> OnCpu:
