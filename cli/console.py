@@ -17,15 +17,14 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from cli.compiling import Column, Watch
-from eval.protocol import ScoreError
+from cli.compiling import CompilingColumn, Watch
 from priors.errors import DataError, UsageError
 
 PIPE_WIDTH = 160
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 
-out = Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+out = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+err = Console(stderr=True, highlight=False, emoji=False, soft_wrap=True)
 watch = Watch(err)
 """Tells when kernels are compiled."""
 
@@ -36,7 +35,7 @@ def guarded(command: Callable[[], int]) -> int:
     watch.install()
     try:
         return command()
-    except (DataError, ScoreError) as error:
+    except DataError as error:
         err.print(f"[bold red]error:[/] {escape(str(error))}")
         return USAGE_ERROR if isinstance(error, UsageError) else DATA_ERROR
     except KeyboardInterrupt:
@@ -56,7 +55,7 @@ def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
     """Show a progress bar; while it moves, what is compiled stands in its last column."""
     watch.bar_begins()
     try:
-        with Progress(*columns, Column(watch), console=err) as bar:
+        with Progress(*columns, CompilingColumn(watch), console=err) as bar:
             yield bar
     finally:
         watch.bar_ends()

@@ -5,8 +5,8 @@ import torch
 
 from nerf.model import Model
 from nerf.pictures import Render, RenderedView
-from nerf.rays import Rays
 from nerf.scene import view_rays
+from nerf.types import Rays
 from priors.machine import threads
 from priors.types import Camera, Matrix
 

@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from nerf.field import Field, FieldConfig
-from nerf.samples import Samples
+from nerf.types import Samples
 from priors.machine import threads
 from priors.nets import runtime
 

@@ -19,7 +19,6 @@ from priors.adapt.selection import pick_evenly, training_views
 from priors.adapt.views import SKY, SURFACE, LabelledView
 from priors.adapt.windows import random_crop
 from priors.errors import DataError
-from priors.filters import Filters
 from priors.methods._reference import READS
 from priors.methods.mono import Mono
 from priors.nets import bts, weights
@@ -219,10 +218,8 @@ def test_adapting_learns_the_scene(net: bts.Bts) -> None:
     assert all(torch.equal(before[name], value) for name, value in net.state_dict().items())  # the given one stays
 
 
-def make(drive: Road, method: Mono, folder: Path, notes: list[str] | None = None) -> build.Report:
-    prior, method = build.prepare(drive, "mono", method, Filters(), folder)
-    plan = build.plan(drive, prior, method.reads, build.Selection())
-    return build.build(drive, prior, method, Filters(), plan, on_note=(notes if notes is not None else []).append)
+def make(drive: Road, method: Mono, folder: Path, notes: list[str] | None = None) -> build.BuildReport:
+    return build.prepare(drive, method, folder=folder).run(on_note=(notes if notes is not None else []).append)
 
 
 def test_a_drive_is_built(file: Path, tmp_path: Path) -> None:
@@ -236,7 +233,7 @@ def test_a_drive_is_built(file: Path, tmp_path: Path) -> None:
 
 def test_the_key_holds_what_decides(file: Path, tmp_path: Path) -> None:
     def key(**fields: Any) -> str:
-        return build.prepare(Road(3), "mono", Mono(weights=file, size="s", **fields), Filters(), tmp_path)[0].name
+        return build.prepare(Road(3), Mono(weights=file, size="s", **fields), folder=tmp_path).prior.name
 
     plain = key()
     assert key(adapt_s=9.0, hold_out="::2", frames="0:2", align_to="sparse") == plain  # nothing is adapted or aligned
@@ -265,7 +262,7 @@ def test_adapting_reads_no_held_out_frame_and_is_kept(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(READS, "lidar", ("sparse",))
-    known = "priors.methods._reference.Known.__call__"
+    known = "priors.methods._reference.ReferenceDepth.__call__"
     monkeypatch.setattr(known, lambda self, frame: frame.sparse().depth_m)
     drive, notes = Road(12, closed=(9,)), []
     method = Mono(weights=file, size="s", adapt="lidar", adapt_s=0.5, runtime="fp32").resolve(drive[0])

@@ -121,7 +121,6 @@ def network(name: str, size: str) -> nn.Module:
 @pytest.mark.parametrize(("name", "size"), [("bts", "s"), ("bts", "m"), ("mffnet", "s")])
 @pytest.mark.parametrize("shape", [(64, 96), (45, 70)])
 def test_onnx_equals_torch(name: str, size: str, shape: tuple[int, int]) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     given = graphs.FORMS[name].examples(*shape)
     exact = runtime.make_ready(network(name, size), "fp32")(*given)
     found = graphs.Portable(runtime.make_ready(network(name, size), "onnx"), name)(*given)
@@ -132,19 +131,17 @@ def test_onnx_equals_torch(name: str, size: str, shape: tuple[int, int]) -> None
 
 
 def test_graphs_are_kept_a_size_and_hold_the_header() -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     ready = runtime.make_ready(network("mffnet", "s"), "onnx", {"net": "mffnet"})
     net = graphs.Portable(ready, "mffnet")
     for width in (32, 64, 32):
         assert net(*graphs.FORMS["mffnet"].examples(32, width)).depth_m.shape == (1, 32, width)
-    assert len(net._sessions) == 2
-    session = next(iter(net._sessions.values()))
+    assert len(net.sessions) == 2
+    session = next(iter(net.sessions.values()))
     assert session.get_modelmeta().custom_metadata_map["roadprior"] == '{"net": "mffnet"}'
 
 
 @pytest.mark.parametrize(("name", "size"), [("bts", "s"), ("mffnet", "s")])
 def test_the_command_writes_a_file_that_opens(name: str, size: str, tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     from priors.nets.export import export
 
     file, out = tmp_path / "a.safetensors", tmp_path / "a.onnx"
@@ -156,22 +153,22 @@ def test_the_command_writes_a_file_that_opens(name: str, size: str, tmp_path: Pa
 
 
 def test_the_methods_run_in_onnxruntime(tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
-    from priors.methods._mono_network import estimate, open_network
+    from priors.methods._mono_network import estimate
+    from priors.methods._network import Network
 
     rng = np.random.default_rng(0)
     image = rng.integers(0, 256, (45, 70, 3), dtype=np.uint8)
     camera = Camera(np.array([[100.0, 0, 35], [0, 100, 15], [0, 0, 1]]), (45, 70))
     file = tmp_path / "bts-s.safetensors"
     weights.write(file, network("bts", "s"), {"net": "bts", "size": "s"})
-    ours, theirs = (estimate(open_network("s", how, file), image, camera)[0] for how in ("onnx", "fp32"))
+    ours, theirs = (estimate(Network("bts", "s", how, file).open(), image, camera).values for how in ("onnx", "fp32"))
     np.testing.assert_allclose(ours, theirs, rtol=5e-3)
     assert Mono(size="s", runtime="onnx", weights=file).weights_digest()
     file = tmp_path / "mffnet-s.safetensors"
     weights.write(file, network("mffnet", "s"), {"net": "mffnet", "size": "s"})
     sparse_m = np.where(rng.random((45, 70)) < 0.1, np.float32(20), np.float32(0))
     made = [
-        Completion(model="mffnet", size="s", runtime=how, weights=file).mend(sparse_m, image, camera)
+        Completion(model="mffnet", size="s", runtime=how, weights=file).fill(sparse_m, image, camera)
         for how in ("onnx", "fp32")
     ]
     np.testing.assert_allclose(made[0].depth_m, made[1].depth_m, rtol=5e-3)

@@ -200,13 +200,13 @@ def test_a_command_uses_as_many_threads_as_it_is_told(
     from priors import build
 
     seen: list[tuple[int, int]] = []
-    original = build.build
+    original = build.Job.run
 
     def spy(*args: object, **kwargs: object) -> object:
         seen.append((threads.count(), cv2.getNumThreads()))
         return original(*args, **kwargs)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(build, "build", spy)
+    monkeypatch.setattr(build.Job, "run", spy)
     before = settings()[:3]
     arguments = ["build", str(raw_drive), "--method", "lidar", "--cache", str(tmp_path / "cache"), "--threads", "3"]
     assert PROGRAM.run(arguments) == 0

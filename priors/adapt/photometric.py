@@ -90,7 +90,10 @@ def mismatch(image: Tensor, seen: Tensor, inside: Tensor) -> Tensor:
 
 
 def dissimilarity(a: Tensor, b: Tensor) -> Tensor:
-    """Return (1 - SSIM) / 2 (Wang et al., 2004) of images (b, c, h, w) in [0, 1] over windows of 3x3 pixels."""
+    """Return (1 - SSIM) / 2 (Wang et al., 2004) of images (b, c, h, w) in [0, 1] over windows of 3x3 pixels.
+
+    A loss: scikit-image's SSIM, which scores pictures, has no gradient.
+    """
     a, b = F.pad(a, (1, 1, 1, 1), mode="replicate"), F.pad(b, (1, 1, 1, 1), mode="replicate")
     mean_a, mean_b = average(a), average(b)
     variance_a, variance_b = average(a * a) - mean_a**2, average(b * b) - mean_b**2

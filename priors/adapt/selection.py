@@ -6,6 +6,7 @@ from typing import TypeVar
 import numpy as np
 
 from priors.errors import DataError
+from priors.selection import held_out
 from priors.types import Drive
 
 Item = TypeVar("Item")
@@ -24,22 +25,11 @@ def training_views(count: int, chosen: Sequence[int], hold_out: str) -> list[int
 
     Raises DataError for any other text, and where no frame is left.
     """
-    held_out = set(_held_out(chosen, hold_out))
-    training = [index for index in chosen if index not in held_out]
+    out = held_out(chosen, hold_out)
+    training = [index for index in chosen if index not in out]
     if not training:
         raise DataError(f"--mono.hold-out {hold_out} leaves no frame of {count} to adapt on: hold out fewer")
     return training
-
-
-def _held_out(chosen: Sequence[int], hold_out: str) -> Sequence[int]:
-    if hold_out == "none":
-        return []
-    try:
-        if ":" not in hold_out:
-            return [chosen[int(hold_out)]]
-        return chosen[slice(*(int(part) if part else None for part in hold_out.split(":")))]
-    except (ValueError, TypeError, IndexError) as error:
-        raise DataError(f"--mono.hold-out {hold_out}: expected start:stop:step, for example 9::10, or none") from error
 
 
 def pick_evenly(items: Sequence[Item], most: int) -> list[Item]:

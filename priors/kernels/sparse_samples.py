@@ -4,7 +4,7 @@ Samples are kept in image order (row by row, left to right); `row_start` (height
 A window around a sample is then a few short runs, found by pointers that only move forward.
 """
 
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -13,14 +13,22 @@ from priors.machine.compiled import compiled
 
 Ints: TypeAlias = npt.NDArray[np.int32]
 Floats: TypeAlias = npt.NDArray[np.float32]
-SparseSamples: TypeAlias = tuple[Ints, Ints, Ints, Floats]
-"""row_start (height + 1,), then row, column and inverse depth (1/m), each (n,)."""
-
 BESIDE = np.float32(1 / 3)  # how likely a sample with a nearer surface on one side is covered, at least
 BESIDE_PX, BETWEEN_PX = np.float32(1), np.float32(2)  # least parallax that can cover a sample
 ONE = np.float32(1)
 NEAREST_M, FARTHEST_M = np.float32(1e-3), np.float32(1e4)  # their squares and inverses are far from float32's limits
 MOST_NEIGHBOURS = 256
+
+
+class SparseSamples(NamedTuple):
+    """The n samples of a sparse depth map, in image order."""
+
+    row_start: Ints
+    """(height + 1,): the first sample of each row; the last entry is n."""
+    row: Ints
+    column: Ints
+    inverse: Floats
+    """(n,) inverse depth, 1/m."""
 
 
 def list_samples(sparse_m: Floats) -> SparseSamples:
@@ -31,7 +39,8 @@ def list_samples(sparse_m: Floats) -> SparseSamples:
     if not (depth_m < FARTHEST_M).all():
         index, depth_m = index[depth_m < FARTHEST_M], depth_m[depth_m < FARTHEST_M]
     row, column = np.divmod(index.astype(np.int32), np.int32(width))
-    return np.searchsorted(row, np.arange(height + 1)).astype(np.int32), row, column, ONE / depth_m
+    row_start = np.searchsorted(row, np.arange(height + 1)).astype(np.int32)
+    return SparseSamples(row_start, row, column, ONE / depth_m)
 
 
 @compiled
@@ -51,7 +60,7 @@ def keep(row_start: Ints, row: Ints, column: Ints, inverse: Floats, kept: npt.ND
     count = np.zeros_like(row_start)
     for i in range(len(row)):
         count[row[i] + 1] += kept[i]
-    return np.cumsum(count).astype(np.int32), row[kept], column[kept], inverse[kept]
+    return SparseSamples(np.cumsum(count).astype(np.int32), row[kept], column[kept], inverse[kept])
 
 
 @compiled

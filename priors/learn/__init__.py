@@ -1,1 +1,1 @@
-"""Training: made the files in priors/weights, and makes yours. `priors train` is its command, see docs/training.md."""
+"""Training: it made the files in priors/weights, and makes yours. Its command is `priors train`: docs/training.md."""

@@ -22,7 +22,7 @@ from priors.learn.accumulated_lidar import AccumulatedDrives
 from priors.learn.lidar_dropout import CompletionExample, drop_points
 from priors.learn.lidar_scene import LidarScene
 from priors.learn.sample_folder import SampleFolder
-from priors.methods.completion import EVERYWHERE_PX, complete
+from priors.methods._completion_classical import EVERYWHERE_PX, complete
 from priors.nets.mffnet import Completed, Mffnet
 from priors.types import FloatMap, Image, Matrix
 

@@ -23,7 +23,6 @@ from priors.codecs import as_rgb
 from priors.draw.colours import colour_depth, thicken
 from priors.drives import DriveOptions
 from priors.errors import DataError
-from priors.filters import Filters
 from priors.learn import pair_file
 from priors.learn.sample_folder import SampleFolder
 from priors.methods._reference import trusted
@@ -158,8 +157,7 @@ def read_real(data: Path, cache: Path) -> Iterator[LabelledView]:
         yield LabelledView(image, frame.camera, depth_m, label_sky(image, depth_m), "sfnd")
     for sequence, offset_px in OFFSETS_PX.items() if (data / "kitti_odometry").is_dir() else ():
         drive = drives.open_drive(data / "kitti_odometry", options=DriveOptions(drive=sequence))
-        prior, method = build.prepare(drive, "stereo", Stereo(offset_px=offset_px), Filters(), cache)
-        build.build(drive, prior, method, Filters(), build.plan(drive, prior, method.reads, build.Selection()))
+        prior = build.prepare(drive, Stereo(offset_px=offset_px), folder=cache).run().prior
         for index, id_ in enumerate(drive.ids):
             frame = drive[index]
             image, depth = frame.image(), prior.read(id_)

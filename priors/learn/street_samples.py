@@ -13,10 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from priors import geometry
-from priors.build import shard
 from priors.learn import pair_file
 from priors.learn.sample_folder import PER_WORLD, sample_path
 from priors.learn.stereo_pair import Sensors, StereoPair
+from priors.selection import shard
 from priors.street import lidar, rig
 from priors.street.config import StreetConfig
 from priors.street.street import Street
@@ -132,7 +132,7 @@ def _scan(
     def poses(times: np.ndarray) -> Matrix:
         return np.broadcast_to(T_world_cam @ T_cam_velo, (len(times), 4, 4))
 
-    points, _ = lidar.scan(street.scene, material, tint, poses, time_s, rng)
+    points, _ = lidar.scan(street.caster, material, tint, poses, time_s, rng)
     xyz = points[:, :3].astype(np.float64)
     elevation = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
     middles = 0.5 * (lidar.ELEVATIONS_RAD[:-1] + lidar.ELEVATIONS_RAD[1:])

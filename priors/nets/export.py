@@ -106,7 +106,7 @@ class Graphs:
 
     def __init__(self, ready: Ready) -> None:
         self.ready = ready
-        self._graphs: OrderedDict[tuple[int, int, int], Graph] = OrderedDict()
+        self.graphs: OrderedDict[tuple[int, int, int], Graph] = OrderedDict()
         self.lock = threading.Lock()
 
     def __call__(self, left: Tensor, right: Tensor, largest_px: int) -> tuple[Floats, Floats, Floats]:
@@ -114,12 +114,12 @@ class Graphs:
         height, width = (-(-int(side) // 32) * 32 for side in left.shape[-2:])
         with self.lock:
             key = (height, width, largest_px)
-            if key not in self._graphs:
-                self._graphs[key] = Graph(to_onnx(self.ready, (height, width), largest_px))
-                while len(self._graphs) > KEPT:
-                    self._graphs.popitem(last=False)
-            self._graphs.move_to_end(key)
-            graph = self._graphs[key]
+            if key not in self.graphs:
+                self.graphs[key] = Graph(to_onnx(self.ready, (height, width), largest_px))
+                while len(self.graphs) > KEPT:
+                    self.graphs.popitem(last=False)
+            self.graphs.move_to_end(key)
+            graph = self.graphs[key]
         return graph(left, right)
 
 
