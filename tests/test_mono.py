@@ -15,7 +15,7 @@ from priors import build
 from priors.adapt.depth_supervision import DepthSupervision
 from priors.adapt.finetune import AdaptConfig, fine_tune
 from priors.adapt.objective import loss, nearest_of_cells, silog
-from priors.adapt.selection import pick_evenly, training_views
+from priors.adapt.training_frames import pick_evenly, training_views
 from priors.adapt.views import SKY, SURFACE, LabelledView
 from priors.adapt.windows import random_crop
 from priors.errors import DataError

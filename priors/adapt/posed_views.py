@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import torch
 
-from priors.adapt.selection import pick_evenly
+from priors.adapt.training_frames import pick_evenly
 from priors.adapt.training_step import Batch
 from priors.adapt.views import LabelledView, augment_view, collate
 from priors.adapt.windows import Window, crop, draw_window

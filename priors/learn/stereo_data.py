@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from priors.adapt.selection import pick_evenly
+from priors.adapt.training_frames import pick_evenly
 from priors.adapt.training_step import Batch
 from priors.adapt.views import to_tensor
 from priors.learn import pair_file, stereo_augment, warp

@@ -111,7 +111,7 @@ def _other_camera(rng: np.random.Generator, size: tuple[int, int]) -> Camera:
     return Camera(K, size)
 
 
-def _sway(rng: np.random.Generator, wide: bool) -> Matrix:
+def _sway(rng: np.random.Generator, *, wide: bool) -> Matrix:
     """Return where the camera is and looks beside the rig's own place."""
     T = np.eye(4)
     degrees = rng.normal(0, [0.6, 1.5, 0.5]) if not wide else rng.normal(0, [2.0, 15.0, 1.5])

@@ -45,7 +45,7 @@ def draw_pair(scene: DisparityImage, filler: Image, rng: np.random.Generator, cr
     return warp(replace(scene, disparity_px=bend(scene.disparity_px, rng)), filler, swap=rng.random() < 0.5)
 
 
-def warp(scene: DisparityImage, filler: Image, swap: bool = False) -> StereoPair:
+def warp(scene: DisparityImage, filler: Image, *, swap: bool = False) -> StereoPair:
     """Make the pair of which the scene is the left view (h, w); every disparity is known.
 
     Args:

@@ -60,7 +60,7 @@ class Exact(nn.Sequential):
 class UpsampleConv(nn.Sequential):
     """A 3D convolution of a volume of half the size, repeated to full size, on top of one of full size.
 
-    Repeating first and convolving then is how it was learned; fused.py and planes.py know quicker ways to the same.
+    Repeating first and convolving then is how it was learned; fused.py and onnx_volume.py know quicker ways.
     """
 
     def forward(self, small: Tensor, plus: Tensor) -> Tensor:  # type: ignore[override]

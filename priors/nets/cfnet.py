@@ -151,4 +151,4 @@ class Cfnet(nn.Module):
         disparity, sigma4, sigma8 = finer(maps, self.to_half(ours[0]))
         half, doubt, weights = self.fine((image, ours[0]), (other, theirs[0]), disparity, [sigma4, sigma8])
         maps = finer([half.disparity_px, half.sigma_px], weights)
-        return StereoOut.whole(maps, doubt, [coarse, quarter, half], size, self.training)
+        return StereoOut.whole(maps, doubt, [coarse, quarter, half], size, training=self.training)

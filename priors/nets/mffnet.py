@@ -79,7 +79,7 @@ class Mffnet(nn.Module):
         depth = describe(log_fill, certain, sparse_m, kind)
         image = normalise(image.to(kind, memory_format=torch.channels_last))
         raw = self._decode(*self._encode(pad(image), pad(depth)))
-        corrected = _correct(raw, log_fill) if without_gradient(raw) else correct(raw, log_fill, self.training)
+        corrected = _correct(raw, log_fill) if without_gradient(raw) else correct(raw, log_fill, branches=self.training)
         mixed, scale, *branches = corrected
         return Completed(mixed, (scale + FIRST_SCALE).clamp(SMALLEST_SCALE, LARGEST_SCALE), tuple(branches))
 
@@ -120,7 +120,7 @@ class Fuse(nn.Module):
         return joint + torch.lerp(depth, image, torch.sigmoid(self.gate(joint)))
 
 
-def correct(raw: Tensor, log_fill: Tensor, branches: bool) -> tuple[Tensor, ...]:
+def correct(raw: Tensor, log_fill: Tensor, *, branches: bool) -> tuple[Tensor, ...]:
     """Apply what the head says (b, 16, >= h / 2, >= w / 2) to a pre-fill's logarithm (b, h, w).
 
     Returns the mixed depth and the scale, each (b, h, w); if asked also the two depths before mixing.

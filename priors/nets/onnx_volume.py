@@ -142,12 +142,12 @@ class PlaneHead(nn.Module):
     def forward(self, volume: Planes) -> Tensor:
         """Return (b, 1, h, w, planes)."""
         volume = self.first(volume)
-        weight = torch.from_numpy(spread(self.kernel, len(volume)))  # numpy's steps are not written down
+        weight = torch.from_numpy(to_2d_kernel(self.kernel, len(volume)))  # numpy's steps are not written down
         bias = torch.from_numpy(np.repeat(self.bias, len(volume)))
         return F.conv2d(torch.cat(volume.maps, dim=1), weight, bias, padding=1).permute(0, 2, 3, 1)[:, None]
 
 
-def spread(kernel: FloatMap, planes: int) -> FloatMap:
+def to_2d_kernel(kernel: FloatMap, planes: int) -> FloatMap:
     """Return the 2D kernel (planes, planes * c, 3, 3) of a 3D one (c, 3, 3, 3): see fused.spread_over_planes."""
     weight = np.zeros((planes, planes, *kernel.shape[:3]), np.float32)
     for there in range(planes):
@@ -156,7 +156,7 @@ def spread(kernel: FloatMap, planes: int) -> FloatMap:
     return weight.reshape(planes, -1, *kernel.shape[1:3])
 
 
-def flat(conv: nn.Conv3d, weight: Tensor, with_bias: bool) -> nn.Conv2d:
+def flat(conv: nn.Conv3d, weight: Tensor, *, with_bias: bool) -> nn.Conv2d:
     """Return the 2D convolution of a 3D one's stride, with a weight (outputs, inputs, 3, 3) of its own."""
     layer = nn.Conv2d(conv.in_channels, conv.out_channels, 3, int(conv.stride[0]), 1, bias=with_bias)
     layer.weight.data = weight.detach().clone()

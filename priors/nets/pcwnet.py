@@ -91,4 +91,5 @@ class Pcwnet(nn.Module):
         a, b = self.features(join(halves, self.lift(levels[0]))).chunk(2)
         disparity2, weights, body = self.fine(a, b, disparity, sigma)
         matched = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)]
-        return StereoOut.whole(finer([disparity2, sigma], weights), self.doubt(body), matched, size, self.training)
+        maps = finer([disparity2, sigma], weights)
+        return StereoOut.whole(maps, self.doubt(body), matched, size, training=self.training)

@@ -42,7 +42,7 @@ def choose(asked: Asked, file: Path | None = None, net: str | None = None, size:
             return "onnx"
         if torch.cuda.is_available():
             return "cuda"
-        return speeds.fastest(cpu.mode(), net, int8.runs(net, size, file))
+        return speeds.fastest(cpu.mode(), net, integers=int8.runs(net, size, file))
     if is_onnx and asked != "onnx":
         raise DataError(f"{file}: an ONNX file runs with runtime onnx, not {asked}")
     if asked == "int8" and not int8.available():

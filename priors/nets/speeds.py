@@ -30,7 +30,7 @@ def table() -> dict[str, Any]:
     return measured
 
 
-def fastest(mode: Mode, net: str | None, integers: bool = False) -> OnCpu:
+def fastest(mode: Mode, net: str | None, *, integers: bool = False) -> OnCpu:
     """Return what runs a network fastest on CPUs of a mode; `integers`: int8 can run it."""
     measured = table()["modes"].get(mode, {}).get("ratios", {}).get(net, {})
     there = {"bf16": True, "fp32": True, "int8": integers, "onnx": True}
