@@ -35,7 +35,7 @@ MODE_TESTS := $(addprefix tests/test_,nerf_mlp.py nerf_field.py nerf_grid.py ner
 	nerf_occupancy.py short_fit.py nets.py nets_runtime.py nets_int8.py mffnet.py stereo_model.py)
 
 modes: $(VENV)/.dev  ## the same in every CPU mode that this CPU can stand in for; what was compiled is kept
-	for mode in $$($(BIN)/python -c "from priors import cpu; print(*cpu.supported()[1:])"); do \
+	for mode in $$($(BIN)/python -c "from priors.machine import cpu; print(*cpu.supported()[1:])"); do \
 		echo "ROADPRIOR_CPU=$$mode"; \
 		ROADPRIOR_CPU=$$mode $(BIN)/python -m pytest -q -m "not slow" -k "not pcwnet-s" $(MODE_TESTS) || exit 1; done
 

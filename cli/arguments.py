@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
-from priors import drives, threads
+from cli.renamed import translate
+from priors import drives
 from priors.cache import Prior
 from priors.drives import DriveOptions
 from priors.errors import UsageError
+from priors.machine import threads
 from priors.types import Drive
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
@@ -70,5 +72,5 @@ def pick_device(name: Device) -> str:
 
 
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:
-    """Parse a command's arguments into its dataclass; --help shows its examples first."""
-    return tyro.cli(kind, prog=command, description=examples, args=arguments)
+    """Parse a command's arguments into its dataclass, flags' earlier names too; --help shows its examples first."""
+    return tyro.cli(kind, prog=command, description=examples, args=translate(kind, arguments))

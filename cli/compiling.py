@@ -11,7 +11,7 @@ from rich.status import Status
 from rich.table import Column as TableColumn
 from rich.text import Text
 
-from priors import notices
+from priors.machine import notices
 
 QUIET_S = 2.0
 """A burst of compiling is over when nothing was compiled for so long."""
@@ -108,7 +108,7 @@ class Watch:
             self._status.stop()
 
 
-class Column(ProgressColumn):
+class CompilingColumn(ProgressColumn):
     """A bar's column that shows what a watch has to say."""
 
     def __init__(self, watch: Watch) -> None:
@@ -122,7 +122,7 @@ class Column(ProgressColumn):
 
 def _kept() -> str:
     """Say where compiled kernels are kept."""
-    from priors.compiled import kept_in
+    from priors.machine.compiled import kept_in
 
     folder = kept_in()
     if folder is None:

@@ -13,7 +13,7 @@ from cli.arguments import parse
 from cli.console import DATA_ERROR, err, out
 from priors import cache
 from priors.cache import Prior
-from priors.labels import labels
+from priors.naming import labels
 
 EXAMPLES = """List what a cache holds: every prior, its frames, density and size; names frames that are half written.
 

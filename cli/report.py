@@ -10,7 +10,7 @@ import tyro
 
 from cli.arguments import Device, ThreadArguments, parse, pick_device
 from cli.console import out, progress
-from eval import lpips, sheet
+from eval import lpips, typeset
 from nerf import checkpoint
 from nerf.page import runs_page
 from nerf.pictures import compare, load_view
@@ -33,7 +33,7 @@ examples:
   nerf eval runs/a runs/b --pictures pictures       image, depth and error of each, a picture a held-out view
   nerf eval runs/a --lpips-weights squeezenet1_1_fp16.npz squeeze.pth
 """
-WRITERS = {".md": sheet.markdown, ".tex": sheet.latex, ".txt": sheet.plain}
+WRITERS = {".md": typeset.markdown, ".tex": typeset.latex, ".txt": typeset.plain}
 PICTURED = 4
 """Held-out views that are on a report page."""
 
@@ -144,16 +144,16 @@ def report_run(
         return report(scene, truths, render, made.folder, key, told, weights.open(), on_frame=step)
 
 
-def print_table(reports: Sequence[Report]) -> sheet.Sheet:
+def print_table(reports: Sequence[Report]) -> typeset.Table:
     """Print a row a run."""
     rows = [((str(made.info["name"]),), made.metrics()) for made in reports]
     have = {key for _, figures in rows for key in figures}
     columns = {key: column for key, column in COLUMNS.items() if key in have}
     caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
     remarks = list(dict.fromkeys(remark for made in reports for remark in made.remarks))
-    laid = sheet.lay(("run",), columns, rows, caption, remarks)
+    laid = typeset.lay_out(("run",), columns, rows, caption, remarks)
     if out.is_terminal:
-        out.print(sheet.render(laid, out.width))
+        out.print(typeset.render(laid, out.width))
     else:
-        out.file.write(sheet.plain(laid))
+        out.file.write(typeset.plain(laid))
     return laid

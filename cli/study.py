@@ -12,7 +12,7 @@ from cli.arguments import Device, DriveArguments, ThreadArguments, parse, pick_d
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.fit import FieldName, seconds
 from cli.report import LpipsArguments, report_run
-from eval import sheet
+from eval import typeset
 from nerf import study_table
 from nerf.fit import FitConfig, fit
 from nerf.losses import DepthLoss, LossConfig
@@ -122,7 +122,7 @@ def _make(args: StudyArguments, command: str) -> int:
 
     outcomes = run_study(grid, args.out, make, settings, _tell)
     laid = study_table.lay_out(outcomes)
-    out.print(sheet.render(laid, out.width)) if out.is_terminal else out.file.write(sheet.plain(laid))
+    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.file.write(typeset.plain(laid))
     for path in study_table.save(outcomes, args.out, command):
         out.print(f"wrote {path}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0

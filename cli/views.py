@@ -13,7 +13,7 @@ from nerf import checkpoint
 from nerf.pictures import Render
 from nerf.run import Run, open_run
 from nerf.view import renderer
-from priors.build import select
+from priors.selection import select
 from priors.types import Camera
 
 

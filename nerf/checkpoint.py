@@ -4,19 +4,19 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors import torch as tensors
 from torch import Tensor
 
-from nerf.model import Model, ModelConfig, SamplerConfig
+from nerf.model import Model, ModelConfig
 from nerf.occupancy import Occupancy
 from nerf.optimise import Optimiser
 from nerf.space import Space
 from priors.codecs import write_bytes
 from priors.errors import DataError
+from priors.records import restore
 
 NAME = "checkpoint.safetensors"
 FORMAT = "1"
@@ -48,12 +48,12 @@ def resume(run: Path, model: Model, optimiser: Optimiser) -> Progress:
     state, metadata = _read(run)
     _fill(model, state, run)
     optimiser.load(_under("optimiser.", state))
-    return Progress(**json.loads(metadata["progress"]))
+    return restore(Progress, json.loads(metadata["progress"]))
 
 
 def progress(run: Path) -> Progress:
     """Return how far a run's checkpoint is; the beginning where there is none."""
-    return Progress(**json.loads(_read(run)[1]["progress"])) if (run / NAME).exists() else Progress()
+    return restore(Progress, json.loads(_read(run)[1]["progress"])) if (run / NAME).exists() else Progress()
 
 
 def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
@@ -63,11 +63,10 @@ def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
         DataError: there is no checkpoint, or it is damaged or of another format.
     """
     state, metadata = _read(run)
-    config = json.loads(metadata["config"])
-    config["sampler"] = SamplerConfig(**config["sampler"])
-    space = Space(**{name: _tuples(value) for name, value in json.loads(metadata["space"]).items()})
+    config = restore(ModelConfig, json.loads(metadata["config"]))
+    space = restore(Space, json.loads(metadata["space"]))
     resolution = state["occupancy.kept"].shape[-1]
-    model = Model(ModelConfig(**config), space, Occupancy(space, resolution, device), device=device)
+    model = Model(config, space, Occupancy(space, resolution, device), device=device)
     _fill(model, state, run)
     return model
 
@@ -109,7 +108,3 @@ def _fill(model: Model, state: dict[str, Tensor], run: Path) -> None:
 
 def _under(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value

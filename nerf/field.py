@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from nerf.grid import Grid, GridConfig
+from nerf.grid import Grid
 from nerf.harmonics import harmonics
-from nerf.kernels import kernels_for
+from nerf.kernels import FieldKernels, kernels_for
 from nerf.mlp import Network, NetworkConfig
-from nerf.samples import Samples
+from nerf.types import GridConfig, Samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,14 +38,24 @@ class _Asked:
 class Field:
     """Density and colour of places. For density alone (proposals), use `density` with `density_backward`."""
 
-    def __init__(self, config: FieldConfig, device: torch.device | str = "cpu", seed: int = 0) -> None:
-        """Make a field that is a thin, even fog; the same weights for the same seed on every device."""
+    def __init__(
+        self,
+        config: FieldConfig,
+        device: torch.device | str = "cpu",
+        seed: int = 0,
+        kernels: FieldKernels | None = None,
+    ) -> None:
+        """Make a field that is a thin, even fog; the same weights for the same seed on every device.
+
+        `kernels`: other functions than the device's own fastest.
+        """
         self.config = config
         self.device = torch.device(device)
         generator = torch.Generator().manual_seed(seed)
-        self.grid = Grid(config.grid, self.device, generator)
-        self.network = Network(config.network, config.grid.levels, self.device, generator)
-        self._block = kernels_for(self.device).BLOCK
+        kernels = kernels or kernels_for(self.device).field
+        self.grid = Grid(config.grid, self.device, generator, kernels)
+        self.network = Network(config.network, config.grid.levels, self.device, generator, kernels)
+        self._block = kernels.BLOCK
         self._asked: _Asked | None = None
 
     def forward(self, samples: Samples, units: Tensor, footprint: Tensor | None = None) -> tuple[Tensor, Tensor]:

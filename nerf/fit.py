@@ -17,7 +17,7 @@ from nerf.occupancy import Occupancy
 from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.scene import Scene
 from nerf.space import Space
-from priors import threads
+from priors.machine import threads
 
 SAVE_EVERY_S = 30.0
 OCCUPANCY_EVERY = 16

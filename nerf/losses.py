@@ -21,9 +21,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from nerf.rays import Rays
-from nerf.render import Gradients, Rendered
-from nerf.samples import Samples
+from nerf.kernels import RenderKernels, kernels_for
+from nerf.types import Gradients, Rays, Rendered, Samples
 
 DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
 
@@ -64,23 +63,33 @@ class Losses:
     """How many samples the batch had."""
 
 
-def losses(config: LossConfig, samples: Samples, rays: Rays, sigma: Tensor, rendered: Rendered) -> Losses:
-    """Compute all losses and their gradients by what was rendered.
+def losses(
+    config: LossConfig,
+    samples: Samples,
+    rays: Rays,
+    sigma: Tensor,
+    rendered: Rendered,
+    kernels: RenderKernels | None = None,
+) -> Losses:
+    """Compute all losses and their gradients by what was rendered; `kernels`: others than the device's fastest.
 
     Raises:
         ValueError: the rays have no colours.
     """
     if rays.rgb is None:
         raise ValueError("rays without colours cannot be trained on")
+    kernels = kernels or kernels_for(sigma.device).render
     gradients = Gradients.zeros(rendered)
     off = rendered.rgb - rays.rgb
     gradients.rgb.copy_(2 / off.numel() * off)
     terms = {"rgb": (off * off).mean()}
     weight = prior_weight(config, rays)
     if weight is not None and config.loss != "none":
-        terms["depth"] = _depth(config, samples, rays, weight, sigma, rendered, gradients)
+        prior_m = torch.where(weight > 0, rays.depth_m, 0.0)  # type: ignore[arg-type]
+        term = _DepthTerm(config, samples, rays.norms, prior_m, sigma, rendered, kernels)
+        terms["depth"] = _depth(term, weight, gradients)
     terms["opacity"] = _opacity(config, samples, weight, rendered, gradients)
-    terms["distortion"] = _distortion(config, samples, rendered, gradients)
+    terms["distortion"] = _distortion(config, samples, rendered, gradients, kernels)
     scales = {"rgb": 1.0, "depth": config.depth_weight, "opacity": config.opacity, "distortion": config.distortion}
     total = torch.stack([scales[name] * value for name, value in terms.items()]).sum()
     return Losses(terms, total, gradients, samples.used)
@@ -95,23 +104,13 @@ def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:
     return torch.where(valid, weight, 0.0)
 
 
-def _depth(
-    config: LossConfig,
-    samples: Samples,
-    rays: Rays,
-    weight: Tensor,
-    sigma: Tensor,
-    rendered: Rendered,
-    gradients: Gradients,
-) -> Tensor:
+def _depth(term: "_DepthTerm", weight: Tensor, gradients: Gradients) -> Tensor:
     """Reduce the depth loss and add its gradients."""
-    prior_m = torch.where(weight > 0, rays.depth_m, 0.0)  # type: ignore[arg-type]
-    term = _DepthTerm(config, samples, rays.norms, prior_m, sigma, rendered)
-    if config.trim > 0:
-        found = term(torch.zeros_like(weight), Gradients.zeros(rendered))
-        weight = trimmed(weight, found, config.trim)
+    if term.config.trim > 0:
+        found = term(torch.zeros_like(weight), Gradients.zeros(term.rendered))
+        weight = trimmed(weight, found, term.config.trim)
     share = weight / weight.sum().clamp(min=1e-12)
-    return (share * term(config.depth_weight * share, gradients)).sum()
+    return (share * term(term.config.depth_weight * share, gradients)).sum()
 
 
 def trimmed(weight: Tensor, loss: Tensor, share: float) -> Tensor:
@@ -135,13 +134,11 @@ class _DepthTerm:
     prior_m: Tensor
     sigma: Tensor
     rendered: Rendered
+    kernels: RenderKernels
 
     def __call__(self, scale: Tensor, gradients: Gradients) -> Tensor:
-        from nerf.kernels import renderer_for
-
-        config, prior_m = self.config, self.prior_m
+        config, prior_m, kernels = self.config, self.prior_m, self.kernels
         deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
-        kernels = renderer_for(self.sigma.device)
         if config.loss == "kl":
             return kernels.kl(self.samples, self.sigma, self.norms, prior_m, deviation_m, scale, gradients.tau)
         off = torch.where(prior_m > 0, self.rendered.depth_m - prior_m, 0.0) / config.unit_m
@@ -170,13 +167,13 @@ def _opacity(
     return (share * rendered.transmittance).sum()
 
 
-def _distortion(config: LossConfig, samples: Samples, rendered: Rendered, gradients: Gradients) -> Tensor:
+def _distortion(
+    config: LossConfig, samples: Samples, rendered: Rendered, gradients: Gradients, kernels: RenderKernels
+) -> Tensor:
     """Reduce the distortion: the mean over the rays."""
-    from nerf.kernels import renderer_for
-
     rays = len(samples.offsets) - 1
     scale = torch.full((rays,), config.distortion / max(1, rays), device=rendered.rgb.device)
-    found = renderer_for(rendered.rgb.device).distortion(samples, rendered.weights, scale, gradients.weights)
+    found = kernels.distortion(samples, rendered.weights, scale, gradients.weights)
     return found.sum() / max(1, rays)
 
 
@@ -188,11 +185,9 @@ def interlevel(
     sum max(0, w - what the coarse intervals that overlap hold)^2 / w (Barron et al., CVPR 2022, eq. 13); the field's
     own weights are not moved by it.
     """
-    from nerf.kernels import renderer_for
-
     rays = len(samples.offsets) - 1
     device = rendered.rgb.device
     scale = torch.full((rays,), 1 / max(1, rays), device=device)
-    kernels = renderer_for(device)
+    kernels = kernels_for(device).render
     found, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
     return found.sum() / max(1, rays), gradient

@@ -5,10 +5,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nerf.grid import FEATURES
 from nerf.harmonics import COUNT
-from nerf.kernels import kernels_for
-from nerf.twin.field import Layers
+from nerf.kernels import FieldKernels
+from nerf.types import FEATURES, Layers
 
 GEOMETRY = 16
 """Outputs of the first network: the density's logit, and 15 numbers for the colour."""
@@ -33,14 +32,21 @@ class NetworkConfig:
 class Network:
     """Both networks: their float32 weights with gradients, forward and backward."""
 
-    def __init__(self, config: NetworkConfig, levels: int, device: torch.device, generator: torch.Generator) -> None:
+    def __init__(
+        self,
+        config: NetworkConfig,
+        levels: int,
+        device: torch.device,
+        generator: torch.Generator,
+        kernels: FieldKernels,
+    ) -> None:
         self.config = config
         width = config.width
         shapes = [(width, FEATURES * levels), (GEOMETRY, width), (width, COUNT + GEOMETRY), (width, width), (3, width)]
         self.layers = Layers(*(_glorot(shape, generator).to(device) for shape in shapes))
         for layer in self.layers:
             layer.grad = torch.zeros_like(layer)
-        self._kernels = kernels_for(device)
+        self._kernels = kernels
 
     def density(self, features: Tensor) -> Tensor:
         """Return density (m,), 1/m, of features (levels, m, 2)."""

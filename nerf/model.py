@@ -7,16 +7,14 @@ from torch import Tensor
 
 from nerf import fields
 from nerf.field import Field, FieldConfig
-from nerf.grid import GridConfig
+from nerf.kernels import kernels_for
 from nerf.losses import LossConfig, Losses, interlevel, losses
 from nerf.mlp import NetworkConfig
 from nerf.occupancy import Occupancy
-from nerf.rays import Rays
-from nerf.render import Gradients, Rendered, backward, render
-from nerf.sample import Key, guidable, guided, march, resample
-from nerf.samples import Samples
+from nerf.sample import guidable, guided, march, resample
 from nerf.sky import Sky, SkyConfig
 from nerf.space import Space
+from nerf.types import Gradients, GridConfig, Key, Rays, Rendered, Samples
 
 PROPOSAL_GRID = GridConfig(levels=8, log2_size=15, finest=512)
 ANNEAL_SLOPE, ANNEAL_SHARE = 10.0, 0.2  # Barron et al., CVPR 2022, section 4; over this share of the fit
@@ -79,6 +77,7 @@ class Model:
         self.config, self.space, self.occupancy = config, space, occupancy
         self.family = fields.family(config.family)
         grid = GridConfig(log2_size=config.log2_size, finest=config.finest, tables=space.tables)
+        self._render = kernels_for(torch.device(device)).render
         self.field = Field(FieldConfig(grid, NetworkConfig(width=config.width)), device, seed)
         self.sky = Sky(SkyConfig(), device)
         proposal = FieldConfig(replace(PROPOSAL_GRID, tables=space.tables), NetworkConfig(width=16))
@@ -106,9 +105,9 @@ class Model:
         units = rays.units
         sigma, rgb = self.field.forward(samples, units, self._footprint(rays, samples))
         sky = self.sky.forward(units)
-        rendered = render(samples, sigma, rgb, sky)
+        rendered = self._render.forward(samples, sigma, rgb, sky)
         found = losses(config, samples, rays, sigma, rendered)
-        d_sigma, d_rgb, d_sky = backward(samples, sigma, rgb, sky, rendered, found.gradients)
+        d_sigma, d_rgb, d_sky = self._render.backward(samples, sigma, rgb, sky, rendered, found.gradients)
         self.field.backward(d_sigma, d_rgb)
         self.sky.backward(d_sky)
         for proposal, round_ in zip(self.proposals, proposed, strict=True):
@@ -123,7 +122,7 @@ class Model:
         else:
             samples = march(rays, self.space, self.occupancy, count=self.config.sampler.render)
         sigma, rgb = self.field.forward(samples, rays.units, self._footprint(rays, samples))
-        return render(samples, sigma, rgb, self.sky.forward(rays.units))
+        return self._render.forward(samples, sigma, rgb, self.sky.forward(rays.units))
 
     def density(self, u: Tensor, table: Tensor) -> Tensor:
         """Return density (m,), 1/m, at places u (m, 3): what the occupancy grid asks."""
@@ -147,7 +146,8 @@ class Model:
             footprint = self._footprint(rays, samples)
             sigma = proposal.density(samples.u, samples.table, footprint, keep=key is not None)
             clear = torch.zeros(len(rays), 3, device=sigma.device)
-            rendered = render(samples, sigma, torch.zeros(len(sigma), 3, device=sigma.device), clear)
+            colourless = torch.zeros(len(sigma), 3, device=sigma.device)
+            rendered = self._render.forward(samples, sigma, colourless, clear)
             rounds.append(_Proposed(samples, sigma, rendered))
             weights = rendered.weights if key is None else self._led(rays, samples, rendered.weights, key)
             options = {"margin": MARGIN, "anneal": anneal}
@@ -188,7 +188,8 @@ class Model:
         gradients = replace(Gradients.zeros(round_.rendered), weights=d_weights)
         clear = torch.zeros_like(round_.rendered.rgb)
         colourless = torch.zeros(len(round_.sigma), 3, device=round_.sigma.device)
-        d_sigma, _, _ = backward(round_.samples, round_.sigma, colourless, clear, round_.rendered, gradients)
+        given = round_.samples, round_.sigma, colourless, clear
+        d_sigma, _, _ = self._render.backward(*given, round_.rendered, gradients)
         proposal.density_backward(d_sigma)
         return value
 

@@ -23,11 +23,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from nerf.samples import Samples
+from nerf.kernels.cpu import sample as compiled
 from nerf.scene import Scene
 from nerf.space import Space
 from nerf.twin.sample import cells
-from priors import threads
+from nerf.types import Key, Samples
 from priors.geometry import rays as pixel_rays
 
 Density = Callable[[Tensor, Tensor], Tensor]
@@ -106,7 +106,7 @@ class Occupancy:
         """Note the density (m,), 1/m, that a training step found at its samples."""
         self._note(samples.u[: samples.used], samples.table[: samples.used], sigma[: samples.used])
 
-    def update(self, density: Density, key: tuple[int, int], probes: int = 16_384) -> None:
+    def update(self, density: Density, key: Key, probes: int = 16_384) -> None:
         """Look at `probes` cells, half of them kept ones, and after WARM_UP steps prune what is thin.
 
         Args:
@@ -142,12 +142,9 @@ class Occupancy:
 
     def _trace(self, scene: Scene, position: int, pixels: npt.NDArray[np.int64], begin: float, end: float) -> Bytes:
         """Mark (flat, 1) the cells along a view's pixels from `begin` to `end` times the depth; near to far where 0."""
-        from nerf.kernels.march import trace
-
         grid = np.zeros(self.kept.numel(), np.uint8)
         if not len(pixels):
             return grid
-
         pose = scene.T_world_cam[position]
         directions = pixel_rays(scene.camera).reshape(-1, 3)[pixels] @ pose[:3, :3].T
         directions = self.space.turn(torch.from_numpy(directions.astype(np.float32))).contiguous()
@@ -159,9 +156,8 @@ class Occupancy:
         first_m = np.where(depth_m > 0, np.clip(depth_m * np.float32(begin), near, far), near)
         last_m = np.where(depth_m > 0, np.clip(depth_m * np.float32(min(end, 1e3)), near, far), far)
         origins = origin.expand_as(directions).contiguous()
-        code, resolution = self.space.code, self.resolution
-        given = (origins.numpy(), directions.numpy(), first_m, last_m, code, resolution, grid)
-        threads.over(len(pixels), lambda first, last: trace(*given, first, last))
+        segments = (origins.numpy(), directions.numpy(), first_m, last_m)
+        compiled.trace(segments, self.space.code, self.resolution, grid)
         return grid
 
     def _inside(self, cell: Tensor, generator: np.random.Generator) -> tuple[Tensor, Tensor]:

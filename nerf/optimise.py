@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nerf.kernels import kernels_for
+from nerf.kernels import FieldKernels, kernels_for
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,16 +29,22 @@ class Optimiser:
     """Adam (Kingma and Ba 2015) on named parameters, their gradients in `.grad`."""
 
     def __init__(
-        self, config: OptimiserConfig, parameters: dict[str, Tensor], copies: dict[str, Tensor] | None = None
+        self,
+        config: OptimiserConfig,
+        parameters: dict[str, Tensor],
+        copies: dict[str, Tensor] | None = None,
+        kernels: FieldKernels | None = None,
     ) -> None:
         """Take parameters by name, and rounded copies that a step keeps up to date.
 
         The rate of "sky.b" is the sky's, that of "a.grid" the grids', else the networks'.
+        `kernels`: other functions than the device's own fastest.
         """
         self.config = config
         self.steps = 0
         self._parameters = parameters
         self._copies = copies or {}
+        self._kernels = kernels
         self._mean = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
         self._square = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
 
@@ -49,7 +55,8 @@ class Optimiser:
         for name, tensor in self._parameters.items():
             copy = self._copies.get(name)
             moments = self._mean[name], self._square[name]
-            kernels_for(tensor.device).adam(tensor, *moments, copy, rate * self._top(name), self.steps)
+            kernels = self._kernels or kernels_for(tensor.device).field
+            kernels.adam(tensor, *moments, copy, rate * self._top(name), self.steps)
             if copy is None:
                 torch.autograd.graph.increment_version(tensor)  # kernels write unseen: tell those who keep copies
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from eval.sheet import Sheet
+from eval.typeset import Table
 from nerf.fit import FitConfig
 from nerf.report import Report
 from nerf.run import Run
@@ -21,7 +21,7 @@ POINTS = 40
 
 
 def runs_page(
-    runs: Sequence[Run], reports: Sequence[Report], sheet: Sheet, pictures: Sequence[Picture], command: str
+    runs: Sequence[Run], reports: Sequence[Report], table: Table, pictures: Sequence[Picture], command: str
 ) -> Page:
     """Lay out the page of runs and their reports, in one order; `command` is what made the page."""
     names = [run.name for run in runs]
@@ -32,7 +32,7 @@ def runs_page(
         f"Radiance fields: {', '.join(names)}",
         "Scored on views that were held out of training. The best figure of a column is bold, the second underlined.",
         [
-            Section("Figures", sheet=sheet),
+            Section("Figures", table=table),
             Section("View by view", figures=views),
             Section("Fit", figures=[Figure([fits])] if courses else []),
             Section("Held-out views", pictures=pictures),

@@ -15,8 +15,8 @@ import numpy as np
 
 from eval.image import as_uint8
 from priors import codecs
-from priors.colours import GOOD_TO_BAD, colour_depth
-from priors.picture import Bar, Tile, depth_tile, error_tile, panel
+from priors.draw.colours import GOOD_TO_BAD, colour_depth
+from priors.draw.panel import Bar, Tile, depth_tile, error_tile, panel
 from priors.types import Camera, Depth, FloatMap, Image, Matrix
 
 OPAQUE = 0.5

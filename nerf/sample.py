@@ -9,21 +9,16 @@ a key (rendering) they stand still.
 """
 
 from dataclasses import replace
-from typing import TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from nerf.kernels import kernels_for
 from nerf.occupancy import Occupancy
-from nerf.rays import Rays
-from nerf.samples import BLOCK, Samples
 from nerf.space import Space
-from nerf.twin import sample as twin
-from nerf.twin.sample import Course, Picked
-from priors import threads
+from nerf.types import Course, Key, Rays, Samples
 
-Key: TypeAlias = tuple[int, int]
 _SHIFTS, _UNGUIDED = 1, 2
 """Which stream of random numbers a key opens; stream 0 draws the rays."""
 
@@ -99,17 +94,8 @@ def resample(
     step = torch.arange(count + 1, device=weights.device, dtype=weights.dtype)
     shift = course.shift if key is not None else torch.full_like(course.shift, 0.5)
     targets = (step[None] + shift[:, None]) / (count + 1)
-    used = slice(0, samples.used)
-    histogram = samples.offsets, samples.s0[used], samples.s1[used], weights[used]
-    if weights.device.type == "cpu":
-        from nerf.kernels.resample import invert
-
-        ends = np.empty((2, len(rays), count), np.float32)
-        given = (*(x.contiguous().numpy() for x in histogram), targets.numpy(), margin, anneal, ends)
-        threads.over(len(rays), lambda first, last: invert(*given, first, last))
-        return _pick(replace(course, ends=torch.from_numpy(ends), slots=count), occupancy)
-    ends_s = torch.stack(twin.resample(*histogram, targets, margin, anneal))
-    return _pick(replace(course, ends=ends_s, slots=count), occupancy)
+    ends = kernels_for(weights.device).sample.resample(samples, weights, targets, margin, anneal)
+    return _pick(replace(course, ends=ends, slots=count), occupancy)
 
 
 def _course(rays: Rays, space: Space, count: int, key: Key | None) -> Course:
@@ -153,67 +139,4 @@ def _random(count: int, key: Key | None, stream: int, like: Tensor) -> Tensor:
 def _pick(course: Course, occupancy: Occupancy | None) -> Samples:
     """Keep what lies in occupied cells and pad it."""
     kept, resolution = (None, 1) if occupancy is None else (occupancy.kept.reshape(-1), occupancy.resolution)
-    if course.start.device.type == "cpu" and course.start.dtype == torch.float32:
-        return _pick_compiled(course, kept, resolution)
-    return _padded(twin.pick(course, kept, resolution))
-
-
-def _room(used: int) -> int:
-    """Round up to whole blocks, at least one: nothing after this has to think of empty arrays."""
-    return max(1, -(-used // BLOCK)) * BLOCK
-
-
-def _padded(picked: Picked) -> Samples:
-    """Append the padding."""
-    used = len(picked.t)
-    room = _room(used) - used
-
-    def pad(x: Tensor, value: float = 0) -> Tensor:
-        return torch.cat([x, x.new_full((room, *x.shape[1:]), value)])
-
-    # Feature-major memory, as the encoders read it.
-    u = pad(picked.u).T.contiguous().T
-    return Samples(
-        picked.offsets,
-        pad(picked.ray, -1),
-        pad(picked.t),
-        pad(picked.dt_m),
-        pad(picked.s0),
-        pad(picked.s1),
-        u,
-        pad(picked.table),
-        used,
-    )
-
-
-def _pick_compiled(course: Course, kept: Tensor | None, resolution: int) -> Samples:
-    """Do what twin.pick does, compiled."""
-    from nerf.kernels.march import choose, fill
-
-    count, rows = len(course.start), (
-        course.norms, course.knee_m, course.low, course.span, course.start,
-        course.stop, course.band0_m, course.band1_m, course.shift,
-    )  # fmt: skip
-    along = torch.stack(rows).numpy()
-    origins, directions, counts = (x.contiguous().numpy() for x in (course.origins, course.directions, course.count))
-    ends = np.empty((2, count, 0), np.float32) if course.ends is None else course.ends.numpy()
-    grid = np.empty(0, np.uint8) if kept is None else kept.numpy()
-    near, far = np.float32(course.near_m), np.float32(course.far_m)
-    chosen, found = np.empty((count, course.slots), np.uint8), np.empty(count, np.int64)
-    given = (origins, directions, along, counts, course.band_count)
-    asked = (*given, course.slots, ends, near, far, course.kind, grid, resolution, chosen, found)
-    threads.over(count, lambda first, last: choose(*asked, first, last))
-    offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(found)])
-    used = int(offsets[-1])
-    m = _room(used)
-    ray, table, u = np.empty(m, np.int32), np.empty(m, np.int32), np.empty((3, m), np.float32)
-    t, dt_m, s0, s1 = (np.empty(m, np.float32) for _ in range(4))
-    packed = (ray, t, dt_m, s0, s1, u, table)
-    wanted = (*given, ends, near, far, course.kind, chosen, offsets, *packed)
-    threads.over(count, lambda first, last: fill(*wanted, first, last))
-    for array in packed:
-        array[..., used:] = -1 if array is ray else 0
-    tensor = torch.from_numpy
-    return Samples(
-        tensor(offsets), tensor(ray), tensor(t), tensor(dt_m), tensor(s0), tensor(s1), tensor(u).T, tensor(table), used
-    )
+    return kernels_for(course.start.device).sample.pick(course, kept, resolution)

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from nerf.rays import Rays
 from nerf.split import split
 from nerf.stack import Stack, StackWriter
+from nerf.types import Rays
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters

@@ -15,8 +15,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from nerf.rays import Rays
 from nerf.twin import space as twin
+from nerf.types import Rays
 
 Kind: TypeAlias = Literal["box", "ball", "spheres"]
 Triple: TypeAlias = tuple[float, float, float]

@@ -18,6 +18,7 @@ from eval.protocol import ScoreError
 from nerf.report import Report
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.records import upgrade
 
 NONE = "none"
 """The prior of a run by colours alone."""
@@ -171,7 +172,10 @@ def _done(folder: Path, config: dict[str, Any]) -> Report | None:
         report = Report.load(folder / "metrics.json")
     except DataError:
         return None
-    return report if report.info.get("config") == config else None
+    told = report.info.get("config")
+    if isinstance(told, dict) and isinstance(told.get("spec"), dict):  # fields may have been renamed since
+        told = told | {"spec": upgrade(RunSpec, told["spec"])}
+    return report if told == config else None
 
 
 def _made(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:

@@ -14,17 +14,17 @@ from pathlib import Path
 
 import numpy as np
 
-from eval import sheet
+from eval import typeset
 from eval.protocol import ScoreError
 from eval.result import refuse_to_mix
-from eval.sheet import Column, Sheet
+from eval.typeset import Column, Table
 from nerf.report import Report
 from nerf.study import NONE, SHARES, Outcome, RunSpec
 from priors import cache, codecs
 from priors.draw import lines
 from priors.draw.lines import Line, Plot
 from priors.errors import DataError
-from priors.labels import labels
+from priors.naming import labels
 from priors.report.page import Figure, Page, Section
 
 COLUMNS = {
@@ -43,7 +43,7 @@ _CHOICES = ("loss", *SHARES, "truth_mask")
 _HEADS = {"truth_mask": "pixels"}
 
 
-def lay_out(outcomes: Sequence[Outcome]) -> Sheet:
+def lay_out(outcomes: Sequence[Outcome]) -> Table:
     """Lay out a study's table: a row a choice, means over seeds, ranked among one field's same views.
 
     Raises:
@@ -73,7 +73,7 @@ def lay_out(outcomes: Sequence[Outcome]) -> Sheet:
     first = made[0][1]
     caption = "; ".join([first.protocol.describe(), f"{len(first.frames)} held-out views", *fixed])
     heads = (*LEAD, *(_HEADS.get(key, key) for key in varied))
-    return sheet.lay(heads, present, rows, caption, _notes(outcomes, groups), group=2)
+    return typeset.lay_out(heads, present, rows, caption, _notes(outcomes, groups), group=2)
 
 
 def commands(outcomes: Sequence[Outcome], command: str) -> list[str]:
@@ -86,9 +86,9 @@ def save(outcomes: Sequence[Outcome], folder: Path, command: str) -> list[Path]:
     """Write the table in four formats and as a page, each with its commands, and the plots; returns the files."""
     laid, typed = lay_out(outcomes), commands(outcomes, command)
     texts = {
-        ".md": sheet.markdown(laid) + "\n```bash\n" + "\n".join(typed) + "\n```\n",
-        ".tex": "".join(f"% {line}\n" for line in typed) + sheet.latex(laid),
-        ".txt": sheet.plain(laid) + "".join(f"$ {line}\n" for line in typed),
+        ".md": typeset.markdown(laid) + "\n```bash\n" + "\n".join(typed) + "\n```\n",
+        ".tex": "".join(f"% {line}\n" for line in typed) + typeset.latex(laid),
+        ".txt": typeset.plain(laid) + "".join(f"$ {line}\n" for line in typed),
         ".csv": as_csv(outcomes),
     }
     paths = [folder / f"table{suffix}" for suffix in texts]
@@ -100,7 +100,7 @@ def save(outcomes: Sequence[Outcome], folder: Path, command: str) -> list[Path]:
         paths.append(path)
     figures = [Figure(plots)] if plots else []
     sections = [
-        Section("Figures", sheet=laid),
+        Section("Figures", table=laid),
         Section("PSNR over the density of the prior", figures=figures),
         Section("How it was made", commands=typed),
     ]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from eval.image import as_uint8
 from nerf.pictures import Render
-from priors.colours import colour_depth
+from priors.draw.colours import colour_depth
 from priors.draw.mp4 import write_mp4
 from priors.errors import DataError
 from priors.types import Camera, Image

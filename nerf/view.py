@@ -5,9 +5,9 @@ import torch
 
 from nerf.model import Model
 from nerf.pictures import Render, RenderedView
-from nerf.rays import Rays
 from nerf.scene import view_rays
-from priors import threads
+from nerf.types import Rays
+from priors.machine import threads
 from priors.types import Camera, Matrix
 
 PIECE = 8192

@@ -10,8 +10,8 @@ from typing import Literal, Protocol, runtime_checkable
 import numpy as np
 import numpy.typing as npt
 
-from priors.agreement import compare_sweep, match_corners
 from priors.errors import DataError
+from priors.pairs.agreement import compare_sweep, match_corners
 from priors.types import Drive, Frame
 
 Level = Literal["ok", "note", "warning", "fatal"]

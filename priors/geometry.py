@@ -7,7 +7,7 @@ Frames: `T_a_b` maps points from b to a. Pixels: the centre of the top-left pixe
 import numpy as np
 import numpy.typing as npt
 
-from priors.types import Camera, FloatMap, Matrix
+from priors.types import Camera, FloatMap, Matrix, Sweep
 
 Points = npt.NDArray[np.floating]
 
@@ -108,3 +108,16 @@ def scatter_nearest(uv_px: Points, depth_m: Points, size: tuple[int, int]) -> Fl
     np.minimum.at(flat, cell[:, 1] * width + cell[:, 0], depth_m[inside])
     flat[np.isinf(flat)] = 0
     return flat.reshape(size)
+
+
+def untwist(sweep: Sweep) -> npt.NDArray[np.float32]:
+    """Return the sweep's points (n, 3), metres, with the ego motion during the rotation taken out.
+
+    Constant velocity: p(t_ref) = Exp(t * angular) p + t * linear. Where the motion is compensated already, or unknown,
+    the points come back as they are.
+    """
+    if sweep.time_s is None or sweep.velocity is None:
+        return sweep.xyz_m
+    from priors.kernels.untwist import untwist_points
+
+    return untwist_points(sweep.xyz_m, sweep.time_s, sweep.velocity)

@@ -9,7 +9,9 @@ from typing import Any
 import pytest
 from factories import write_argoverse_stereo, write_argoverse_tracking, write_folder, write_odometry, write_raw
 
-from priors import cpu
+from priors.machine import cpu
+
+cpu.hold_down()  # before anything is compiled, as the commands do
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 DATA = SHARED / "data"

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from priors.align import Alignment, fit
 from priors.errors import DataError
+from priors.methods._mono_align import Alignment, fit
 
 
 def samples(seed: int, count: int, noise: float) -> np.ndarray:

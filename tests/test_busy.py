@@ -11,8 +11,8 @@ import pytest
 import torch
 
 from nerf.field import Field, FieldConfig
-from nerf.samples import Samples
-from priors import threads
+from nerf.types import Samples
+from priors.machine import threads
 from priors.nets import runtime
 
 pytestmark = pytest.mark.skipif(threads.available() < 2, reason="one core: there is nothing to share")

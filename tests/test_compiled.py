@@ -13,13 +13,13 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from cli.compiling import Column, Watch
-from priors import notices
+from cli.compiling import CompilingColumn, Watch
+from priors.machine import notices
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALL = """
-from priors.compiled import compiled, kept_in
-from priors.notices import on_compile, on_compiled
+from priors.machine.compiled import compiled, kept_in
+from priors.machine.notices import on_compile, on_compiled
 from small import twice
 told = []
 on_compile.append(lambda name: told.append(f"begin {name}"))
@@ -28,7 +28,7 @@ assert twice(3) == 6
 print(kept_in(), *told, sep=";")
 """
 MODULE = """
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 @compiled
 def once(x):
@@ -159,7 +159,7 @@ def test_nested_functions_count_and_are_one_burst(watched: tuple[Watch, io.Strin
 def test_a_bar_that_runs_shows_what_is_compiled(watched: tuple[Watch, io.StringIO, Console]) -> None:
     watch, text, console = watched
     watch.bar_begins()
-    with Progress(Column(watch), console=console) as bar:
+    with Progress(CompilingColumn(watch), console=console) as bar:
         bar.add_task("frames", total=1)
         tell(notices.on_compile, "kernel")
         bar.refresh()

@@ -9,8 +9,8 @@ from typing import get_args
 
 import pytest
 
-from priors import cpu
 from priors.errors import DataError
+from priors.machine import cpu
 
 ROOT = Path(__file__).resolve().parents[1]
 AVX512 = {"avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"}

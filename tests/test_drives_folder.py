@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from priors import codecs
 from priors.drives import DriveOptions, open_drive, reopen
+from priors.drives._rigs import KITTI
 from priors.errors import DataError
 
 
@@ -136,7 +137,7 @@ def test_the_rig_is_named_or_refused(tmp_path: Path) -> None:
     calibration = json.loads((tmp_path / "calib.json").read_text())
     assert open_drive(tmp_path)[0].rig is None
     (tmp_path / "calib.json").write_text(json.dumps({**calibration, "rig": "kitti"}))
-    assert open_drive(tmp_path)[0].rig == "kitti"
+    assert open_drive(tmp_path)[0].rig == KITTI
     (tmp_path / "calib.json").write_text(json.dumps({**calibration, "rig": "kiti"}))
     with pytest.raises(DataError, match=r"calib.json: rig 'kiti' is not known: leave it out, or choose one of kitti"):
         _ = open_drive(tmp_path)[0]

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from priors import codecs
 from priors.drives import DriveOptions, kitti_raw, open_drive, reopen
+from priors.drives._rigs import KITTI
 from priors.errors import DataError
-from priors.geometry import invert, project, scatter_nearest, transform
-from priors.sweep import untwist
+from priors.geometry import invert, project, scatter_nearest, transform, untwist
 
 EARTH_RADIUS_M = 6378137.0
 
@@ -26,7 +26,7 @@ def test_opens_drive_date_and_root(raw_drive: Path, levels: int) -> None:
 
 def test_another_rig_in_kittis_layout_is_not_kittis(raw_drive: Path) -> None:
     """What KITTI's own pairs are off by says nothing of other cars' pairs."""
-    assert open_drive(raw_drive)[0].rig == "kitti"
+    assert open_drive(raw_drive)[0].rig == KITTI
     own = raw_drive.rename(raw_drive.parent / "mine_0001_sync")
     assert open_drive(own)[0].rig is None
 

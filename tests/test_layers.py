@@ -1,43 +1,117 @@
-"""The layers of CONTRIBUTING.md: who may import whom."""
+"""The rooms of docs/architecture.md: a file imports from its own room and from those that stand before it in ROOMS."""
 
 import ast
+import re
+from collections.abc import Iterator
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-import pytest
-
 ROOT = Path(__file__).resolve().parents[1]
-MAY_IMPORT = {"eval": set(), "priors": {"eval"}, "nerf": {"priors", "eval"}, "cli": {"priors", "eval", "nerf"}}
-OURS = set(MAY_IMPORT)
-FILES = [path for package in MAY_IMPORT for path in sorted((ROOT / package).rglob("*.py"))]
+ROOMS = [
+    "eval",
+    "priors/errors",
+    "priors/extensions",
+    "priors/records",
+    "priors/types",
+    "priors/selection",
+    "priors/codecs",
+    "priors/machine",
+    "priors/kernels",
+    "priors/geometry",
+    "priors/sky",
+    "priors/draw",
+    "priors/cache",
+    "priors/keys",
+    "priors/drives",
+    "priors/pairs",
+    "priors/filters",
+    "priors/nets",
+    "priors/adapt",
+    "priors/build",
+    "priors/methods",
+    "priors/check",
+    "priors/naming",
+    "priors/score",
+    "priors/report",
+    "priors/export",
+    "priors/street",
+    "priors/learn",
+    "nerf",
+    "cli",
+]
+"""A room is a file, or a folder with all that is in it."""
+LARGEST = 400
+FILES = sorted(
+    path.relative_to(ROOT) for top in ("eval", "priors", "nerf", "cli") for path in (ROOT / top).rglob("*.py")
+)
 
 
-def imports(path: Path) -> set[str]:
-    tree = ast.parse(path.read_text())
-    names = set()
-    for node in ast.walk(tree):
+def room(path: Path) -> int | None:
+    """Return a file's place in the list, by the longest name that fits; None for a file that is in no room."""
+    names = [str(path.with_suffix("")), *(str(parent) for parent in path.parents)]
+    return next((ROOMS.index(name) for name in names if name in ROOMS), None)
+
+
+def imports(path: Path) -> Iterator[Path]:
+    """Give the files of ours that a file imports, at its top or in a function."""
+    for node in ast.walk(ast.parse((ROOT / path).read_text())):
         if isinstance(node, ast.Import):
-            names |= {alias.name for alias in node.names}
+            names = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            assert node.level == 0, f"{path}: relative import; write it in full"
-            names.add(node.module or "")
-    return names
+            assert node.level == 0, f"{path}: a relative import: write it in full"
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
+        else:
+            continue
+        for name in names:
+            yield from find(name)
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_imports_go_down(path: Path) -> None:
-    package = path.relative_to(ROOT).parts[0]
-    found = {name.split(".")[0] for name in imports(path)} & OURS - {package}
-    assert found <= MAY_IMPORT[package]
+def find(name: str) -> list[Path]:
+    """Return the file that a dotted name means: a module, or the one that holds the name."""
+    parts = name.split(".")
+    for end in (len(parts), len(parts) - 1):
+        base = Path(*parts[:end]) if end else Path("-")
+        for path in (base.with_suffix(".py"), base / "__init__.py"):
+            if path in FILES:
+                return [path]
+    return []
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_eval_is_imported_by_its_files(path: Path) -> None:
-    """`import eval` would hide the builtin and take any eval.py that is first on the path."""
-    tree = ast.parse(path.read_text())
-    plain = [alias for node in ast.walk(tree) if isinstance(node, ast.Import) for alias in node.names]
-    assert all(alias.name != "eval" or alias.asname for alias in plain)
+def test_imports_go_down() -> None:
+    lost = [str(path) for path in FILES if room(path) is None and path.name != "__init__.py"]
+    assert not lost, f"in no room: {lost}"
+    up = [
+        f"{path} ({ROOMS[own]}) imports {other} ({ROOMS[above]})"
+        for path in FILES
+        if (own := room(path)) is not None
+        for other in imports(path)
+        if (above := room(other)) is not None and above > own
+    ]
+    assert not up, "\n".join(["imports that go up:", *up])
 
 
-@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(ROOT)))
-def test_files_are_one_noun(path: Path) -> None:
-    assert len(path.read_text().splitlines()) <= 400
+def test_no_files_import_each_other() -> None:
+    graph = {path: {other for other in imports(path) if other != path} for path in FILES}
+    try:
+        TopologicalSorter(graph).prepare()
+    except CycleError as error:
+        circle = " -> ".join(map(str, error.args[1]))
+        raise AssertionError(f"files that import each other: {circle}") from None
+
+
+def test_files_can_be_read() -> None:
+    """One noun a file; and `import eval` would hide the builtin, and take any eval.py that is first on the path."""
+    long = [f"{path}: {n} lines" for path in FILES if (n := len((ROOT / path).read_text().splitlines())) > LARGEST]
+    plain = [
+        f"{path}: import eval: write `from eval.x import y`"
+        for path in FILES
+        for node in ast.walk(ast.parse((ROOT / path).read_text()))
+        if isinstance(node, ast.Import) and any(alias.name == "eval" and not alias.asname for alias in node.names)
+    ]
+    assert not long + plain, "\n".join(long + plain)
+
+
+def test_the_page_lists_the_rooms() -> None:
+    """docs/architecture.md has a sentence for each room, in the order of ROOMS."""
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    assert re.findall(r"^\| `([\w/]+)` \|", page, re.MULTILINE) == ROOMS

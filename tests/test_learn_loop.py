@@ -11,8 +11,9 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from cli.train import StereoArguments, started_from
+from priors.adapt.batch import Batch
 from priors.errors import DataError
-from priors.learn.loop import Batch, TrainConfig, train
+from priors.learn.loop import TrainConfig, train
 from priors.types import Image
 
 CONFIG = TrainConfig(steps=40, lr=1e-2, warm_up=5, validate_every=10)

@@ -15,7 +15,6 @@ from cli.nerf import PROGRAM
 from nerf.pictures import KEPT, picture_path
 from priors import build, codecs
 from priors.drives import open_drive
-from priors.filters import Filters
 from priors.methods.lidar import Lidar
 from priors.street.write import write_street
 
@@ -29,8 +28,7 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("home")
     write_street(folder / "street", 10, 7, SIZE)
     drive = open_drive(folder / "street")
-    prior, method = build.prepare(drive, "lidar", Lidar(), Filters(), folder / "cache")
-    build.build(drive, prior, method, Filters(), build.plan(drive, prior, method.reads, build.Selection()))
+    prior = build.prepare(drive, Lidar(), folder=folder / "cache").run().prior
     assert (
         nerf("fit", folder / "street", "--prior", prior.folder, "--steps", 3, "--run", folder / "runs" / "prior") == 0
     )

@@ -6,16 +6,15 @@ import pytest
 import torch
 
 from nerf.field import Field, FieldConfig
-from nerf.grid import GridConfig
 from nerf.harmonics import harmonics
-from nerf.kernels import cpu, plain
+from nerf.kernels.cpu import field as cpu
+from nerf.kernels.plain import field as plain
 from nerf.mlp import NetworkConfig
 from nerf.optimise import Optimiser, OptimiserConfig
-from nerf.samples import Samples
 from nerf.sky import Sky, SkyConfig, corners
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
-from nerf.twin.field import Layers
+from nerf.types import GridConfig, Layers, Samples
 
 SMALL = FieldConfig(GridConfig(levels=6, log2_size=12, coarsest=4, finest=128, tables=2), NetworkConfig(width=32))
 

@@ -9,13 +9,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numba.core.errors import NumbaError
 
-from nerf.grid import Grid, GridConfig, level_shapes
-from nerf.kernels import cpu
-from nerf.kernels.lanes import load_int
+from nerf.grid import Grid
+from nerf.kernels.cpu import field as cpu
+from nerf.kernels.cpu.lanes import load_int
 from nerf.kernels.words import flat, words
 from nerf.twin import encode as twin
-from priors import threads
-from priors.compiled import compiled
+from nerf.types import GridConfig, level_shapes
+from priors.machine import threads
+from priors.machine.compiled import compiled
 
 CPU = torch.device("cpu")
 CONFIGS = {
@@ -199,7 +200,7 @@ def test_large_footprints_see_only_coarse_levels():
 
 def test_the_copy_follows_the_weights():
     config = CONFIGS["one level"]
-    grid = Grid(config, CPU, torch.Generator().manual_seed(0))
+    grid = Grid(config, CPU, torch.Generator().manual_seed(0), cpu)
     u, table = torch.rand(16, 3), torch.zeros(16, dtype=torch.int32)
     before = grid.encode(u, table)
     grid.weights.add_(1)

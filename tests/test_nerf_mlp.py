@@ -12,12 +12,14 @@ import torch
 from scipy.special import sph_harm_y
 
 from nerf.harmonics import harmonics
-from nerf.kernels import cpu, plain
+from nerf.kernels.cpu import field as cpu
+from nerf.kernels.plain import field as plain
 from nerf.mlp import Network, NetworkConfig
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin
-from nerf.twin.field import LOGIT_MAX, Layers
-from priors import threads
+from nerf.twin.field import LOGIT_MAX
+from nerf.types import Layers
+from priors.machine import threads
 
 INITIAL = 0.02
 SIZES = pytest.mark.parametrize(
@@ -87,7 +89,7 @@ def test_near_the_twin_in_full_precision(width, levels, count):
 def test_the_code_for_tiles_compiles_on_cpus_without(tmp_path):
     root = Path(__file__).resolve().parents[1]
     environment = {**os.environ, "PYTHONPATH": str(root), "ROADPRIOR_CACHE": str(tmp_path)}
-    command = [sys.executable, str(root / "tests" / "reference" / "tiles_compiled.py")]
+    command = [sys.executable, "-P", str(root / "tests" / "reference" / "tiles_compiled.py")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     instructions = "ldtilecfg tdpbf16ps vcvtne2ps2bf16 tilerelease"
     assert done.stdout.splitlines() == [f"forward {instructions}", f"backward {instructions}"], done.stderr
@@ -143,7 +145,7 @@ def test_plain_functions_equal_autograd():
 
 
 def test_twin_gradients_equal_finite_differences():
-    from nerf.grid import GridConfig
+    from nerf.types import GridConfig
 
     config = GridConfig(levels=2, log2_size=6, coarsest=2, finest=5)
     g = torch.Generator().manual_seed(0)
@@ -173,7 +175,7 @@ def test_harmonics_are_scipys():
 
 
 def test_new_networks_start_from_an_even_fog():
-    network = Network(NetworkConfig(), 16, torch.device("cpu"), torch.Generator().manual_seed(0))
+    network = Network(NetworkConfig(), 16, torch.device("cpu"), torch.Generator().manual_seed(0), cpu)
     sigma = network.density(torch.full((16, 64, 2), 1e-4, dtype=torch.bfloat16))
     assert torch.allclose(sigma, torch.tensor(INITIAL), rtol=0.01)
 

@@ -8,9 +8,9 @@ import torch
 
 from nerf import sample
 from nerf.occupancy import AGREED, WARM_UP, Occupancy
-from nerf.rays import Rays
 from nerf.scene import Scene, view_rays
 from nerf.space import Kind, Space
+from nerf.types import Rays
 from priors.geometry import rays as pixel_rays
 from priors.types import Camera
 

@@ -8,13 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from nerf import render
-from nerf.kernels import render_cpu, render_plain
+from nerf.kernels.cpu import render as cpu
+from nerf.kernels.plain import render as plain
 from nerf.losses import LossConfig, losses, prior_weight, trimmed
-from nerf.rays import Rays
-from nerf.render import Gradients, Rendered
-from nerf.samples import BLOCK, Samples
 from nerf.twin import render as twin
+from nerf.types import SAMPLE_BLOCK, Gradients, Rays, Rendered, Samples
 
 
 def make(counts: list[int], seed: int = 0) -> tuple[Samples, Tensor, Tensor, Tensor, Rays]:
@@ -25,7 +23,7 @@ def make(counts: list[int], seed: int = 0) -> tuple[Samples, Tensor, Tensor, Ten
         return torch.rand(*shape, generator=random)
 
     rays, used = len(counts), sum(counts)
-    m = BLOCK * max(1, math.ceil(used / BLOCK))
+    m = SAMPLE_BLOCK * max(1, math.ceil(used / SAMPLE_BLOCK))
     offsets = torch.tensor([0, *torch.tensor(counts).cumsum(0).tolist()] if counts else [0])
     ray = torch.full((m,), -1, dtype=torch.int32)
     ray[:used] = torch.repeat_interleave(torch.arange(rays, dtype=torch.int32), torch.tensor(counts, dtype=torch.long))
@@ -49,7 +47,7 @@ FIELDS = ("rgb", "depth_m", "median_m", "transmittance", "weights")
 @pytest.mark.parametrize("counts", CASES)
 def test_values_equal_the_twin(counts: list[int]) -> None:
     samples, sigma, rgb, sky, _ = make(counts)
-    fast = render_cpu.render(samples, sigma, rgb, sky)
+    fast = cpu.forward(samples, sigma, rgb, sky)
     slow = twin.render(samples, sigma.double(), rgb.double(), sky.double())
     for name in FIELDS:
         torch.testing.assert_close(getattr(fast, name), getattr(slow, name).float(), atol=2e-6, rtol=2e-5)
@@ -58,16 +56,16 @@ def test_values_equal_the_twin(counts: list[int]) -> None:
 @pytest.mark.parametrize("counts", CASES)
 def test_gradients_equal_autograd(counts: list[int]) -> None:
     samples, sigma, rgb, sky, _ = make(counts)
-    fast = render_cpu.render(samples, sigma, rgb, sky)
+    fast = cpu.forward(samples, sigma, rgb, sky)
     random = torch.Generator().manual_seed(1)
     given_ = Gradients(*(torch.randn(x.shape, generator=random) for x in (fast.rgb, *[fast.depth_m] * 2, *[sigma] * 2)))
-    found = render_cpu.backward(samples, sigma, rgb, sky, fast, given_)
+    found = cpu.backward(samples, sigma, rgb, sky, fast, given_)
     doubled = [x.double() for x in (sigma, rgb, sky)]
     slow = Rendered(*(getattr(fast, name).double() for name in FIELDS))
     wide = Gradients(
         *(x.double() for x in (given_.rgb, given_.depth_m, given_.transmittance, given_.weights, given_.tau))
     )
-    expected = render_plain.backward(samples, *doubled, slow, wide)
+    expected = plain.backward(samples, *doubled, slow, wide)
     for ours, theirs in zip(found, expected, strict=True):
         torch.testing.assert_close(ours, theirs.float(), atol=2e-5, rtol=2e-4)
 
@@ -77,15 +75,15 @@ def test_gradients_equal_autograd(counts: list[int]) -> None:
 def test_losses_equal_the_twin(counts: list[int], kind: str) -> None:
     samples, sigma, rgb, sky, rays = make(counts, seed=3)
     assert rays.depth_m is not None
-    weights = render_cpu.render(samples, sigma, rgb, sky).weights
+    weights = cpu.forward(samples, sigma, rgb, sky).weights
     deviation_m = 0.05 * rays.depth_m + 0.1
     scale = torch.rand(len(rays), generator=torch.Generator().manual_seed(4))
     priors = (rays.norms, rays.depth_m, deviation_m)
     arguments = {"kl": (sigma, *priors), "sight": (weights, *priors), "distortion": (weights,)}[kind]
     ours, theirs = torch.zeros_like(sigma), torch.zeros_like(sigma).double()
-    fast = getattr(render_cpu, kind)(samples, *arguments, scale, ours)
+    fast = getattr(cpu, kind)(samples, *arguments, scale, ours)
     wide = [x.double() for x in arguments]
-    slow = getattr(render_plain, kind)(samples, *wide, scale.double(), theirs)
+    slow = getattr(plain, kind)(samples, *wide, scale.double(), theirs)
     torch.testing.assert_close(fast, slow.float(), atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(ours, theirs.float(), atol=1e-5, rtol=1e-3)
 
@@ -95,11 +93,11 @@ def test_interlevel_equals_the_twin(seed: int) -> None:
     counts = [12, 0, 5, 33, 7]
     samples, sigma, rgb, sky, _ = make(counts, seed)
     coarse, thin, _, _, _ = make([9, 4, 0, 20, 7], seed + 100)
-    weights = render_cpu.render(samples, sigma, rgb, sky).weights
-    bound = render_cpu.render(coarse, thin, torch.zeros(len(thin), 3), sky).weights
+    weights = cpu.forward(samples, sigma, rgb, sky).weights
+    bound = cpu.forward(coarse, thin, torch.zeros(len(thin), 3), sky).weights
     scale = torch.rand(len(counts), generator=torch.Generator().manual_seed(4))
-    fast, ours = render_cpu.interlevel(samples, weights, coarse, bound, scale)
-    slow, theirs = render_plain.interlevel(samples, weights.double(), coarse, bound.double(), scale.double())
+    fast, ours = cpu.interlevel(samples, weights, coarse, bound, scale)
+    slow, theirs = plain.interlevel(samples, weights.double(), coarse, bound.double(), scale.double())
     assert float(slow.sum()) > 0
     torch.testing.assert_close(fast, slow.float(), atol=1e-6, rtol=1e-4)
     torch.testing.assert_close(ours, theirs.float(), atol=1e-6, rtol=1e-4)
@@ -109,7 +107,7 @@ def test_interlevel_equals_the_twin(seed: int) -> None:
 @given(st.lists(st.integers(0, 40), min_size=1, max_size=20), st.integers(0, 1000))
 def test_light_is_conserved(counts: list[int], seed: int) -> None:
     samples, sigma, rgb, sky, _ = make(counts, seed)
-    made = render_cpu.render(samples, sigma, rgb, sky)
+    made = cpu.forward(samples, sigma, rgb, sky)
     stopped = torch.zeros(len(counts)).index_add(0, samples.ray[: samples.used].long(), made.weights[: samples.used])
     torch.testing.assert_close(stopped + made.transmittance, torch.ones(len(counts)), atol=1e-5, rtol=0)
     assert (made.weights >= 0).all()
@@ -120,7 +118,7 @@ def test_light_is_conserved(counts: list[int], seed: int) -> None:
 def test_a_wall_is_seen_where_it_stands() -> None:
     samples, _, rgb, sky, _ = make([40])
     sigma = torch.where(samples.t > 21, 1e4, 0.0)
-    made = render_cpu.render(samples, sigma, rgb, sky)
+    made = cpu.forward(samples, sigma, rgb, sky)
     first = samples.t[: samples.used][samples.t[: samples.used] > 21][0]
     torch.testing.assert_close(made.depth_m[0], first)
     torch.testing.assert_close(made.median_m[0], first)
@@ -129,7 +127,7 @@ def test_a_wall_is_seen_where_it_stands() -> None:
 
 def test_empty_space_shows_the_sky() -> None:
     samples, sigma, rgb, sky, _ = make([12, 0])
-    made = render_cpu.render(samples, torch.zeros_like(sigma), rgb, sky)
+    made = cpu.forward(samples, torch.zeros_like(sigma), rgb, sky)
     torch.testing.assert_close(made.rgb, sky)
     assert (made.depth_m == 0).all()
 
@@ -138,10 +136,10 @@ def test_empty_space_shows_the_sky() -> None:
 def test_extreme_densities_stay_finite(value: float) -> None:
     samples, sigma, rgb, sky, rays = make([20] * 8)
     sigma = torch.full_like(sigma, value)
-    made = render_cpu.render(samples, sigma, rgb, sky)
+    made = cpu.forward(samples, sigma, rgb, sky)
     for kind in ("mse", "l1", "kl", "urf"):
         found = losses(LossConfig(loss=kind), samples, rays, sigma, made)
-        gradients = render_cpu.backward(samples, sigma, rgb, sky, made, found.gradients)
+        gradients = cpu.backward(samples, sigma, rgb, sky, made, found.gradients)
         assert math.isfinite(found.total)
         assert all(torch.isfinite(x).all() for x in gradients)
 
@@ -153,11 +151,11 @@ def test_the_whole_loss_has_its_gradient(kind: str) -> None:
     config = LossConfig(loss=kind, depth_weight=0.7, distortion=0.3, opacity=0.2, by_confidence=True)
 
     def total(s: Tensor) -> float:
-        return losses(config, samples, rays, s, render_cpu.render(samples, s, rgb, sky)).total
+        return losses(config, samples, rays, s, cpu.forward(samples, s, rgb, sky)).total
 
-    made = render_cpu.render(samples, sigma, rgb, sky)
+    made = cpu.forward(samples, sigma, rgb, sky)
     found = losses(config, samples, rays, sigma, made)
-    d_sigma = render.backward(samples, sigma, rgb, sky, made, found.gradients)[0]
+    d_sigma = cpu.backward(samples, sigma, rgb, sky, made, found.gradients)[0]
     for k in (0, 5, 13, 20, 30, 41):
         step = 1e-2 * float(sigma[k])
         up, down = sigma.clone(), sigma.clone()
@@ -175,16 +173,14 @@ def test_kl_is_least_where_the_prior_is() -> None:
         wall = torch.full_like(sigma, 1e-6)
         wall[at] = 50.0
         d_tau = torch.zeros_like(sigma)
-        found.append(
-            float(render_cpu.kl(samples, wall, rays.norms, near, torch.full((1,), 0.05), torch.ones(1), d_tau)[0])
-        )
+        found.append(float(cpu.kl(samples, wall, rays.norms, near, torch.full((1,), 0.05), torch.ones(1), d_tau)[0]))
     assert found[1] < min(found[0], found[2])
 
 
 def test_sparse_and_dense_maps_pull_equally() -> None:
     """A prior on a tenth of the rays gives the loss of a prior on all of them, if the errors are the same."""
     samples, sigma, rgb, sky, rays = make([10] * 200)
-    made = render_cpu.render(samples, sigma, rgb, sky)
+    made = cpu.forward(samples, sigma, rgb, sky)
     dense = made.depth_m + 2
     sparse = torch.where(torch.arange(200) % 10 == 0, dense, 0.0)
     found = [
@@ -218,7 +214,7 @@ def test_trimming_drops_the_largest(share: float, count: int, seed: int) -> None
 
 def test_opacity_counts_as_much_as_the_prior() -> None:
     samples, sigma, rgb, sky, *_, rays = make([5, 5, 5])
-    drawn = render_cpu.render(samples, sigma, rgb, sky)
+    drawn = cpu.forward(samples, sigma, rgb, sky)
     given = Rays(rays.origins_m, rays.directions, rays.rgb, torch.full((3,), 7.0), torch.tensor([1.0, 0.1, 0.0]))
     found = losses(LossConfig(loss="none", opacity=1.0), samples, given, sigma, drawn)
     assert found.gradients.transmittance.tolist() == pytest.approx([1 / 2, 0.1 / 2, 0])

@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nerf import sample
+from nerf.kernels import plain_kernels
 from nerf.occupancy import Occupancy
-from nerf.rays import Rays
-from nerf.samples import BLOCK, Samples
 from nerf.space import Kind, Space
 from nerf.twin import sample as twin
+from nerf.types import SAMPLE_BLOCK, Rays, Samples
 
 KINDS: list[Kind] = ["box", "ball", "spheres"]
 SPACE = Space("ball", (0.0, 0.0, 20.0), (12.0, 5.0, 25.0), 0.5, 200.0)
@@ -34,10 +34,7 @@ def grid(space: Space, share: float = 0.4, resolution: int = 32) -> Occupancy:
 
 
 def plain(monkeypatch: pytest.MonkeyPatch) -> None:
-    def pick(course: twin.Course, kept: torch.Tensor | None, resolution: int) -> Samples:
-        return sample._padded(twin.pick(course, kept, resolution))
-
-    monkeypatch.setattr(sample, "_pick_compiled", pick)
+    monkeypatch.setattr(sample, "kernels_for", lambda device: plain_kernels())
 
 
 def assert_equal(one: Samples, other: Samples) -> None:
@@ -93,7 +90,7 @@ def test_samples_are_well_formed(kind: Kind, count: int, seed: int, jitter: bool
     )
     used = found.used
     assert found.offsets[0] == 0 and found.offsets[-1] == used and (found.offsets.diff() >= 0).all()
-    assert len(found.t) % BLOCK == 0 and len(found.t) >= max(used, 1)
+    assert len(found.t) % SAMPLE_BLOCK == 0 and len(found.t) >= max(used, 1)
     expected = torch.repeat_interleave(torch.arange(30, dtype=torch.int32), found.offsets.diff())
     assert torch.equal(found.ray[:used], expected)
     assert (found.ray[used:] == -1).all() and (found.dt_m[used:] == 0).all() and (found.u[used:] == 0).all()
@@ -195,7 +192,7 @@ def test_shifts_cover_the_interval_evenly() -> None:
 
 def test_nothing_to_sample() -> None:
     none = rays(0)
-    assert sample.march(none, SPACE).used == 0 and len(sample.march(none, SPACE).t) == BLOCK
+    assert sample.march(none, SPACE).used == 0 and len(sample.march(none, SPACE).t) == SAMPLE_BLOCK
     assert sample.guided(none, SPACE).offsets.tolist() == [0]
     empty = grid(SPACE, 0.0)
     found = sample.march(rays(10), SPACE, empty)
@@ -224,7 +221,7 @@ def histogram(seed: int, gaps: bool) -> tuple[torch.Tensor, ...]:
 def run(kind: str, *histogram: torch.Tensor, targets: torch.Tensor, margin: float, anneal: float) -> torch.Tensor:
     if kind == "plain":
         return torch.stack(twin.resample(*histogram, targets, margin, anneal))
-    from nerf.kernels.resample import invert
+    from nerf.kernels.cpu.resample import invert
 
     ends = np.empty((2, len(targets), targets.shape[1] - 1), np.float32)
     invert(*(x.numpy() for x in histogram), targets.numpy(), margin, anneal, ends, 0, len(targets))

@@ -8,9 +8,9 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nerf.rays import Rays
 from nerf.space import Kind, Space
 from nerf.twin import space as twin
+from nerf.types import Rays
 
 KINDS: list[Kind] = ["box", "ball", "spheres"]
 TURNED = ((0.8, 0.6, 0.0), (-0.6, 0.8, 0.0), (0.0, 0.0, 1.0))

@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from eval import sheet
+from eval import typeset
 from eval.image import ImageScore
 from eval.protocol import ScoreError, preset
-from eval.result import score_frame
+from eval.result import Comparison, score_frame
 from nerf.report import FrameScore, Report
 from nerf.study import NONE, Outcome, RunSpec, Study, run_study
 from nerf.study_table import commands, density_curves, lay_out, save
@@ -47,7 +47,7 @@ class Runner:
             FrameScore(
                 id_,
                 ImageScore(10 ** (-psnr / 10), 65025 * 10 ** (-psnr / 10), 0.8, 0.7),
-                score_frame(id_, truth * (1 + abs_rel), None, truth, rules),
+                score_frame(Comparison(id_, truth * (1 + abs_rel), None, truth), rules),
                 None,
                 0.5,
             )
@@ -262,11 +262,11 @@ def test_a_sheet_in_a_terminal_has_sections_and_all_heads(tmp_path):
 
     console = Console(width=120)
     with console.capture() as capture:
-        console.print(sheet.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 120))
+        console.print(typeset.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 120))
     lines = capture.get().splitlines()
     assert [word in lines[1] + lines[2] for word in ("field", "views", "prior", "PSNR", "AbsRel")] == [True] * 5
     assert sum("24.00" in line for line in lines) == 1
     with console.capture() as capture:
-        console.print(sheet.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 60))
+        console.print(typeset.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 60))
     assert "no room for" in capture.get()
     assert "AbsRel" in capture.get().split("no room for")[1]

@@ -12,9 +12,7 @@ import pytest
 import torch
 
 from nerf import kernels
-from nerf.grid import GridConfig
-from nerf.render import Gradients
-from nerf.twin.field import Layers
+from nerf.types import Gradients, GridConfig, Layers
 from tests.test_nerf_render import make
 
 pytestmark = pytest.mark.skipif(find_spec("triton") is None, reason="no triton: pip install 'roadprior[dev]'")
@@ -70,12 +68,12 @@ def made(
     request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> Iterator[list[tuple[str, Any]]]:
     """Make the kernels compile instead of running."""
-    from nerf.kernels import triton_adam, triton_composite, triton_encode, triton_field, triton_mlp
+    from nerf.kernels.triton import adam, composite, encode, field, perceptron
 
     monkeypatch.setenv("TRITON_CACHE_DIR", str(tmp_path))
-    monkeypatch.setattr(triton_field, "_capability", lambda device: divmod(request.param, 10))
+    monkeypatch.setattr(field, "_capability", lambda device: divmod(request.param, 10))
     found: list[tuple[str, Any]] = []
-    for module in (triton_adam, triton_composite, triton_encode, triton_mlp):
+    for module in (adam, composite, encode, perceptron):
         for name, kernel in list(vars(module).items()):
             if type(kernel).__name__ == "JITFunction" and not name.startswith("_") and name != "pack":
                 monkeypatch.setattr(module, name, Compiler(kernel, request.param, found))
@@ -86,22 +84,22 @@ def made(
 
 
 def test_the_field_compiles(made: list[tuple[str, Any]]) -> None:
-    from nerf.kernels import triton_field
+    from nerf.kernels.triton import field
 
     config = GridConfig(levels=16, log2_size=10, tables=2)
-    m = triton_field.BLOCK
+    m = field.BLOCK
     u, table, footprint = torch.rand(m, 3), torch.zeros(m, dtype=torch.int32), torch.rand(m)
-    features = triton_field.encode(u, table, footprint, torch.zeros(2, config.rows, 2).bfloat16(), config)
-    triton_field.spread(u, table, footprint, features, config, torch.zeros(2, config.rows, 2))
+    features = field.encode(u, table, footprint, torch.zeros(2, config.rows, 2).bfloat16(), config)
+    field.spread(u, table, footprint, features, config, torch.zeros(2, config.rows, 2))
     layers = Layers(*(torch.zeros(shape) for shape in [(64, 32), (16, 64), (64, 32), (64, 64), (3, 64)]))
     given = torch.zeros(9, 16), torch.zeros(m, dtype=torch.int32)
-    triton_field.density(features, layers, 0.02)
-    triton_field.density_backward(features, layers, 0.02, torch.zeros(m))
-    triton_field.shade(features, *given, layers, 0.02)
-    triton_field.shade_backward(features, *given, layers, 0.02, torch.zeros(m), torch.zeros(m, 3))
+    field.density(features, layers, 0.02)
+    field.density_backward(features, layers, 0.02, torch.zeros(m))
+    field.shade(features, *given, layers, 0.02)
+    field.shade_backward(features, *given, layers, 0.02, torch.zeros(m), torch.zeros(m, 3))
     weights = torch.zeros(5000)
     weights.grad = torch.zeros(5000)
-    triton_field.adam(weights, torch.zeros(5000), torch.zeros(5000), weights.bfloat16(), 1e-2, 1)
+    field.adam(weights, torch.zeros(5000), torch.zeros(5000), weights.bfloat16(), 1e-2, 1)
     assert {name for name, _ in made} == {"encode", "spread", "forward", "backward", "adam"}
     # Hopper adds both features of a row at once; without that the way back takes twice as long.
     for name, kernel in made:
@@ -115,21 +113,23 @@ def test_gpus_get_the_kernels_that_they_can_run(
 ) -> None:
     monkeypatch.setattr(torch.cuda, "get_device_capability", lambda device: capability)
     kernels._runs_triton.cache_clear()
-    found = kernels.kernels_for(torch.device("cuda")), kernels.renderer_for(torch.device("cuda"))
+    found = kernels.kernels_for(torch.device("cuda"))
     kernels._runs_triton.cache_clear()
-    assert [module.__name__.startswith("nerf.kernels.triton") for module in found] == [runs, runs]
-    assert kernels.kernels_for(torch.device("meta")).__name__ == "nerf.kernels.plain"
+    kind = "triton" if runs else "plain"
+    expected = [f"nerf.kernels.{kind}.field", f"nerf.kernels.{kind}.render", "nerf.kernels.plain.sample"]
+    assert [part.__name__ for part in found] == expected  # type: ignore[attr-defined]
+    assert kernels.kernels_for(torch.device("meta")) == kernels.plain_kernels()
 
 
 def test_the_renderer_compiles(made: list[tuple[str, Any]]) -> None:
-    from nerf.kernels import triton_render
+    from nerf.kernels.triton import render
 
     samples, sigma, rgb, sky, rays = make([3, 0, 5])
-    rendered = triton_render.render(samples, sigma, rgb, sky)
-    triton_render.backward(samples, sigma, rgb, sky, rendered, Gradients.zeros(rendered))
+    rendered = render.forward(samples, sigma, rgb, sky)
+    render.backward(samples, sigma, rgb, sky, rendered, Gradients.zeros(rendered))
     prior = (rays.norms, rays.norms, rays.norms, rays.norms, sigma)
-    triton_render.kl(samples, sigma, *prior)
-    triton_render.sight(samples, sigma, *prior)
-    triton_render.distortion(samples, sigma, rays.norms, sigma)
-    triton_render.interlevel(samples, sigma, samples, sigma, rays.norms)
+    render.kl(samples, sigma, *prior)
+    render.sight(samples, sigma, *prior)
+    render.distortion(samples, sigma, rays.norms, sigma)
+    render.interlevel(samples, sigma, samples, sigma, rays.norms)
     assert {name for name, _ in made} == {"forward", "backward", "kl", "sight", "distortion", "interlevel"}

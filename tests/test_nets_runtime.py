@@ -12,8 +12,8 @@ from conftest import RealData
 from standin import Standin, install
 
 from priors import codecs
-from priors.cpu import Mode
 from priors.errors import DataError
+from priors.machine.cpu import Mode
 from priors.nets import runtime, speeds, weights
 from priors.nets.blocks import fold
 from priors.nets.runtime import as_input, as_map, choose, make_ready, open_net

@@ -3,9 +3,17 @@
 import numpy as np
 import pytest
 
-from priors import colours, picture
-from priors.colours import ERROR_STEPS, GOOD_TO_BAD, MISSING, colour_confidence, colour_depth, colour_error, thicken
-from priors.picture import Tile
+from priors.draw import colours, panel
+from priors.draw.colours import (
+    ERROR_STEPS,
+    GOOD_TO_BAD,
+    MISSING,
+    colour_confidence,
+    colour_depth,
+    colour_error,
+    thicken,
+)
+from priors.draw.panel import Tile
 from priors.types import Depth
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -29,7 +37,7 @@ def test_depth_colours_are_a_fixed_scale_and_black_is_no_value():
 
 
 def test_no_colour_of_a_scale_is_near_black():
-    for table in (colours.DEPTH_COLOURS, colours.CONFIDENCE_COLOURS, GOOD_TO_BAD, colours.NEAR_TO_FAR):
+    for table in (colours.DEPTH_COLOURS, colours.CONFIDENCE_COLOURS, GOOD_TO_BAD):
         assert table.max(axis=1).min() > 60
     assert not (np.array(MISSING) == GOOD_TO_BAD).all(axis=1).any()
 
@@ -39,7 +47,6 @@ def test_extreme_maps_are_painted_without_a_warning():
         for painted in (
             colour_depth(EXTREMES),
             colour_error(EXTREMES, truth),
-            colours.colour_signed_error(EXTREMES, truth),
             colour_confidence(EXTREMES, EXTREMES > 0),
         ):
             assert painted.dtype == np.uint8
@@ -61,14 +68,6 @@ def test_a_truth_without_a_prediction_is_neither_good_nor_black():
     assert painted.tolist() == [list(MISSING), [0, 0, 0], [0, 0, 0]]
 
 
-def test_signed_errors_tell_near_from_far():
-    truth = np.full((1, 3), 10.0, np.float32)
-    near, right, far = colours.colour_signed_error(np.array([[8, 10, 12]], np.float32), truth)[0].astype(int)
-    assert near[2] > near[0] + 50
-    assert far[0] > far[2] + 50
-    assert right.min() > 230
-
-
 def test_thickening_grows_into_black_only():
     sparse = np.zeros((5, 9, 3), np.uint8)
     sparse[2, 2], sparse[2, 6] = (255, 0, 0), (0, 255, 0)
@@ -85,19 +84,19 @@ def test_error_tile_shows_the_few_values_of_a_sparse_map():
     truth = np.full((20, 30), 10.0, np.float32)
     prediction = np.zeros_like(truth)
     prediction[10, 15] = 20
-    tile = picture.error_tile(Depth(prediction), Depth(truth))
+    tile = panel.error_tile(Depth(prediction), Depth(truth))
     assert (tile.picture[9:12, 14:17] == GOOD_TO_BAD[-1]).all()
     assert tile.picture[0, 0].tolist() == list(MISSING)
     assert "no value" in tile.caption
-    dense = picture.error_tile(Depth(truth), Depth(truth))
+    dense = panel.error_tile(Depth(truth), Depth(truth))
     assert (dense.picture == GOOD_TO_BAD[0]).all()
     assert "no value" not in dense.caption
 
 
 def test_confidence_tile_of_a_map_without_one_is_black():
     depth_m = np.full((4, 5), 9.0, np.float32)
-    assert not picture.confidence_tile(Depth(depth_m)).picture.any()
-    sure = picture.confidence_tile(Depth(depth_m, np.ones_like(depth_m))).picture
+    assert not panel.confidence_tile(Depth(depth_m)).picture.any()
+    sure = panel.confidence_tile(Depth(depth_m, np.ones_like(depth_m))).picture
     assert (sure == colours.CONFIDENCE_COLOURS[-1]).all()
 
 
@@ -105,45 +104,35 @@ def test_sparse_depth_and_confidence_are_thickened_alike():
     depth_m = np.zeros((9, 9), np.float32)
     depth_m[4, 4] = 9
     depth = Depth(depth_m, (depth_m > 0).astype(np.float32))
-    for tile in (picture.depth_tile(depth, "lidar"), picture.confidence_tile(depth)):
+    for tile in (panel.depth_tile(depth, "lidar"), panel.confidence_tile(depth)):
         assert tile.picture.any(axis=2).sum() == 9
 
 
 def test_panel_lays_tiles_out_and_scales_them():
     red, green = (np.zeros((10, 40, 3), np.uint8) for _ in range(2))
     red[...], green[...] = (200, 0, 0), (0, 200, 0)
-    made = picture.panel([Tile(red, "a", picture.depth_bar()), Tile(green, "b"), Tile(red[:5], "c")], 2, 200)
-    gap, strip = picture.GAP_PX, picture.STRIP_PX
+    made = panel.panel([Tile(red, "a", panel.depth_bar()), Tile(green, "b"), Tile(red[:5], "c")], 2, 200)
+    gap, strip = panel.GAP_PX, panel.STRIP_PX
     assert made.dtype == np.uint8
     assert made.shape == (3 * gap + 2 * strip + 50 + 25, 3 * gap + 400, 3)
     assert (made[gap + strip : gap + strip + 50, gap : gap + 200] == (200, 0, 0)).all()
     assert (made[gap + strip : gap + strip + 50, 2 * gap + 200 : 2 * gap + 400] == (0, 200, 0)).all()
-    assert (made[2 * gap + strip + 50 :, 2 * gap + 200 :] == picture.PAPER).all()  # no fourth tile
+    assert (made[2 * gap + strip + 50 :, 2 * gap + 200 :] == panel.PAPER).all()  # no fourth tile
 
 
 def test_captions_and_bars_are_drawn():
     blank = np.zeros((10, 300, 3), np.uint8)
-    drawn = picture.panel([Tile(blank, "stereo", picture.error_bar())], 1, 300)
-    strip = drawn[picture.GAP_PX : picture.GAP_PX + picture.STRIP_PX]
+    drawn = panel.panel([Tile(blank, "stereo", panel.error_bar())], 1, 300)
+    strip = drawn[panel.GAP_PX : panel.GAP_PX + panel.STRIP_PX]
     assert {tuple(colour) for colour in GOOD_TO_BAD.tolist()} <= {tuple(c) for c in strip.reshape(-1, 3).tolist()}
-    assert (strip[:, :80] != picture.PAPER).any()
-    assert (picture.panel([Tile(blank, "")], 1, 300)[:40, :80] == picture.PAPER).all()
-
-
-def test_overlay_tints_inside_only():
-    image = np.full((10, 10), 100, np.uint8)
-    mask = np.zeros((10, 10), bool)
-    mask[2:8, 2:8] = True
-    tinted = picture.overlay(image, mask, (0, 0, 255))
-    assert (tinted[~mask] == 100).all()
-    assert tinted[5, 5].tolist() == [55, 55, 169]
-    assert tinted[2, 2].tolist() == [0, 0, 255]  # the outline
+    assert (strip[:, :80] != panel.PAPER).any()
+    assert (panel.panel([Tile(blank, "")], 1, 300)[:40, :80] == panel.PAPER).all()
 
 
 def test_a_long_caption_ends_before_the_bar() -> None:
     """The bar's own pixels are the same whatever the caption says."""
-    tiles = [Tile(np.zeros((20, 60, 3), np.uint8), caption, picture.depth_bar()) for caption in ("", "long " * 60)]
-    plain, captioned = (picture.panel([tile], 1, 400) for tile in tiles)
+    tiles = [Tile(np.zeros((20, 60, 3), np.uint8), caption, panel.depth_bar()) for caption in ("", "long " * 60)]
+    plain, captioned = (panel.panel([tile], 1, 400) for tile in tiles)
     right = 400 - 400 // 3 - 50
     np.testing.assert_array_equal(plain[:, right:], captioned[:, right:])
     assert not np.array_equal(plain[:, :right], captioned[:, :right])

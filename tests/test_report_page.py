@@ -13,10 +13,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from eval.curves import Samples, curves
+from eval.curves import ScoredPixels, curves
 from eval.protocol import preset
 from eval.result import Result, score
-from eval.sheet import Column, lay
+from eval.typeset import Column, lay_out
 from priors.draw.lines import Line, Plot
 from priors.report.page import Figure, Page, Picture, Section
 from priors.report.scores import by_range, scores_page, sparsification
@@ -65,7 +65,8 @@ def page(name: str = "a", **more: Any) -> Page:
     rows = [((name,), {"psnr": 20.0}), (("b",), {"psnr": 21.0}), (("c",), {})]
     sections = [
         Section(
-            "Figures", sheet=lay(("run",), {"psnr": Column("PSNR", "dB", higher=True, digits=2)}, rows, name, [name])
+            "Figures",
+            table=lay_out(("run",), {"psnr": Column("PSNR", "dB", higher=True, digits=2)}, rows, name, [name]),
         ),
         Section("Plots", figures=[Figure(plots, caption=name), Figure(plots)]),
         Section("Pictures", pictures=[Picture(name, np.full((20, 30, 3), 200, np.uint8))]),
@@ -133,7 +134,7 @@ def scored(name: str, factor: float) -> Result:
 def test_the_page_of_scores() -> None:
     results = [scored("good", 1.01), scored("bad", 1.2)]
     random = np.random.default_rng(0)
-    samples = Samples(random.uniform(5, 50, 200), random.uniform(5, 50, 200), random.random(200))
+    samples = ScoredPixels(random.uniform(5, 50, 200), random.uniform(5, 50, 200), random.random(200))
     made = {"good": [curves(samples, "abs_rel"), curves(samples, "rmse")]}
     html = scores_page(results, ("abs_rel", "rmse"), made, [], "priors eval cache").html()
     read = Reader(html)
@@ -152,7 +153,7 @@ def test_errors_by_distance_stand_at_the_ranges_middles() -> None:
 
 
 def test_sparsification_is_drawn_as_it_was_found() -> None:
-    samples = Samples(np.array([10.0, 20, 30]), np.array([10.0, 25, 60]), np.array([0.9, 0.5, 0.1]))
+    samples = ScoredPixels(np.array([10.0, 20, 30]), np.array([10.0, 25, 60]), np.array([0.9, 0.5, 0.1]))
     found = curves(samples, "rmse")
     (plot,) = sparsification("stereo", [found])
     assert (plot.title, plot.y_label) == ("stereo", "RMSE, m")

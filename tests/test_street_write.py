@@ -8,9 +8,9 @@ import pytest
 from priors import geometry
 from priors.drives import DriveOptions, open_drive
 from priors.errors import DataError
+from priors.geometry import untwist
 from priors.street.street import Street
 from priors.street.write import write_street
-from priors.sweep import untwist
 
 SIZE = (96, 320)
 SEED, FRAMES = 11, 3

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from reference import lidar as reference
 
 from priors.drives import open_drive
-from priors.geometry import project, scatter_nearest, transform
-from priors.sweep import untwist
+from priors.geometry import project, scatter_nearest, transform, untwist
 from priors.types import Sweep
 
 DRIVE = Path(__file__).resolve().parents[2] / "shared/data/kitti_raw/2011_09_26/2011_09_26_drive_0001_sync"

@@ -14,8 +14,8 @@ import torch
 from threadpoolctl import threadpool_info
 
 from cli.arguments import ThreadArguments
-from priors import threads
 from priors.errors import DataError
+from priors.machine import threads
 
 ROOT = Path(__file__).resolve().parents[1]
 COUNTS = (1, 2, 5)
@@ -93,7 +93,7 @@ def test_what_is_small_is_one_task_and_what_is_large_many() -> None:
 def test_a_forked_process_has_a_pool_of_its_own() -> None:
     code = """
 import os
-from priors import threads
+from priors.machine import threads
 done = []
 with threads.limited(3):
     threads.run(100, done.append)
@@ -139,7 +139,7 @@ def test_limited_wants_one_or_more(wrong: int) -> None:
 
 def test_a_library_that_loads_later_is_held_too() -> None:
     code = """
-from priors import threads
+from priors.machine import threads
 with threads.limited(1):
     import torch
     inside = torch.get_num_threads()
@@ -200,13 +200,13 @@ def test_a_command_uses_as_many_threads_as_it_is_told(
     from priors import build
 
     seen: list[tuple[int, int]] = []
-    original = build.build
+    original = build.Job.run
 
     def spy(*args: object, **kwargs: object) -> object:
         seen.append((threads.count(), cv2.getNumThreads()))
         return original(*args, **kwargs)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(build, "build", spy)
+    monkeypatch.setattr(build.Job, "run", spy)
     before = settings()[:3]
     arguments = ["build", str(raw_drive), "--method", "lidar", "--cache", str(tmp_path / "cache"), "--threads", "3"]
     assert PROGRAM.run(arguments) == 0
@@ -218,7 +218,7 @@ def answers() -> list[torch.Tensor]:
     """What kernels make of the same random inputs: images, features, logits."""
     import numpy as np
 
-    from priors.nets import intake, matching, upsample
+    from priors.nets import matching, stereo_input, upsample
     from priors.nets.confidence import is_hidden
     from priors.sky import sky_mask
 
@@ -237,7 +237,7 @@ def answers() -> list[torch.Tensor]:
             matching.lookup_beside([left.permute(0, 2, 3, 1)], left, right, disparity_px, 4, [disparity_px]),
             *matching.expect(disparity_px, torch.arange(6.0)[None, None, None], 2),
             upsample.convex(disparity_px[:, :, :, :2].permute(0, 3, 1, 2), logits, 4),
-            *intake.take_in(pixels, pixels.flip(3), torch.bfloat16),
+            *stereo_input.preprocess(pixels, pixels.flip(3), torch.bfloat16),
         ]
 
 

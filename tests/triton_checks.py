@@ -11,24 +11,23 @@ import torch
 from torch import Tensor
 from torch.overrides import TorchFunctionMode
 
-import nerf.kernels
-from nerf import render
+import nerf
 from nerf.field import Field, FieldConfig
-from nerf.grid import GridConfig
-from nerf.kernels import plain, render_plain, triton_field, triton_render
+from nerf.kernels import Kernels, RenderKernels, plain_kernels, triton_kernels
+from nerf.kernels.plain import field as plain_field
+from nerf.kernels.plain import render as plain_render
+from nerf.kernels.triton import field as triton_field
+from nerf.kernels.triton import render as triton_render
 from nerf.losses import LossConfig, losses
 from nerf.mlp import NetworkConfig
 from nerf.optimise import Optimiser, OptimiserConfig
-from nerf.rays import Rays
-from nerf.render import Gradients, Rendered
 from nerf.sample import guided, march
-from nerf.samples import Samples
 from nerf.sky import Sky, SkyConfig
 from nerf.space import Space
 from nerf.twin import field as twin_field
 from nerf.twin import render as twin_render
 from nerf.twin import sample as twin_sample
-from nerf.twin.field import Layers
+from nerf.types import Gradients, GridConfig, Layers, Rays, Rendered, Samples
 from tests.reference.triton_halves import mend
 from tests.test_nerf_render import FIELDS, make
 
@@ -36,7 +35,7 @@ INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
 DEVICE = torch.device("cpu" if INTERPRETED else "cuda")
 if INTERPRETED:
     mend()
-PACKAGE = str(Path(render.__file__).parent)
+PACKAGE = str(Path(nerf.__file__).parent)
 COUNTS = [[5, 3, 0, 17, 1], [0, 0], [3] * 70, [50, 2, 25]]
 
 
@@ -76,7 +75,7 @@ def test_encoding(asked: tuple[Tensor, Tensor, Tensor | None, GridConfig]) -> No
     *places, config = asked
     weights = moved(drawn(config.tables, config.rows, 2).bfloat16())
     ours = triton_field.encode(*places, weights, config)
-    theirs = plain.encode(*places, weights.float(), config)
+    theirs = plain_field.encode(*places, weights.float(), config)
     torch.testing.assert_close(ours.float(), theirs.bfloat16().float(), rtol=1e-2, atol=1e-6)
 
 
@@ -86,7 +85,7 @@ def test_spreading(asked: tuple[Tensor, Tensor, Tensor | None, GridConfig]) -> N
     ours = torch.full((config.tables, config.rows, 2), math.nan, device=DEVICE)  # what was there does not count
     theirs = torch.zeros_like(ours)
     triton_field.spread(u, table, footprint, d_features, config, ours)
-    plain.spread(u, table, footprint, d_features.float(), config, theirs)
+    plain_field.spread(u, table, footprint, d_features.float(), config, theirs)
     near(ours, theirs, 2e-6)
 
 
@@ -145,7 +144,7 @@ def test_adam() -> None:
     ours, theirs = ([moved(drawn(1500, seed=s)) for s in range(3)] for _ in range(2))
     copy = torch.empty(1500, device=DEVICE, dtype=torch.bfloat16)
     for step in (1, 2):
-        for (weights, mean, square), kernels in ((ours, triton_field), (theirs, plain)):
+        for (weights, mean, square), kernels in ((ours, triton_field), (theirs, plain_field)):
             square.abs_()
             weights.grad = moved(drawn(1500, seed=7 + step))
             weights.grad[: 100 * step] = 0
@@ -158,7 +157,7 @@ def test_adam() -> None:
 @pytest.mark.parametrize("counts", COUNTS, ids=lambda counts: f"{len(counts)} rays")
 def test_rendering(counts: list[int]) -> None:
     given = make(counts)[:4]
-    ours = triton_render.render(*(moved(x) for x in given))
+    ours = triton_render.forward(*(moved(x) for x in given))
     theirs = twin_render.render(given[0], *(x.double() for x in given[1:]))
     for name in FIELDS:
         torch.testing.assert_close(getattr(ours, name).cpu(), getattr(theirs, name).float(), atol=3e-6, rtol=3e-5)
@@ -168,13 +167,13 @@ def test_rendering(counts: list[int]) -> None:
 def test_rendering_backward(counts: list[int]) -> None:
     samples, sigma, rgb, sky, _ = make(counts)
     sigma[3] = 1e4  # a wall
-    made = triton_render.render(*(moved(x) for x in (samples, sigma, rgb, sky)))
+    made = triton_render.forward(*(moved(x) for x in (samples, sigma, rgb, sky)))
     shapes = [made.rgb, made.depth_m, made.depth_m, made.weights, made.weights]
     gradients = [drawn(*x.shape, seed=i) for i, x in enumerate(shapes)]
     ours = triton_render.backward(*(moved(x) for x in (samples, sigma, rgb, sky)), made, moved(Gradients(*gradients)))
     wide = Rendered(*(getattr(made, name).double().cpu() for name in FIELDS))
     doubled = [x.double() for x in (sigma, rgb, sky)]
-    theirs = render_plain.backward(samples, *doubled, wide, Gradients(*(x.double() for x in gradients)))
+    theirs = plain_render.backward(samples, *doubled, wide, Gradients(*(x.double() for x in gradients)))
     for our, their in zip(ours, theirs, strict=True):
         torch.testing.assert_close(our.cpu(), their.float(), atol=1e-4, rtol=2e-4)
 
@@ -191,7 +190,7 @@ def test_losses(counts: list[int], kind: str) -> None:
     ours, theirs = torch.ones_like(sigma), torch.ones_like(sigma).double()  # gradients are added
     ours = moved(ours)
     found = getattr(triton_render, kind)(moved(samples), *(moved(x) for x in given), moved(scale), ours)
-    expected = getattr(render_plain, kind)(samples, *(x.double() for x in given), scale.double(), theirs)
+    expected = getattr(plain_render, kind)(samples, *(x.double() for x in given), scale.double(), theirs)
     torch.testing.assert_close(found.cpu(), expected.float(), atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(ours.cpu(), theirs.float(), atol=2e-5, rtol=1e-3)
 
@@ -203,7 +202,7 @@ def test_interlevel(counts: list[int]) -> None:
     weights, bound = torch.rand(len(samples.t), generator=torch.Generator().manual_seed(1)), 0.2 * sigma
     scale = rays.norms
     found = triton_render.interlevel(*(moved(x) for x in (samples, weights, coarse, bound, scale)))
-    expected = render_plain.interlevel(samples, weights.double(), coarse, bound.double(), scale.double())
+    expected = plain_render.interlevel(samples, weights.double(), coarse, bound.double(), scale.double())
     for our, theirs in zip(found, expected, strict=True):
         torch.testing.assert_close(our.cpu(), theirs.float(), atol=1e-5, rtol=1e-4)
 
@@ -212,7 +211,7 @@ def test_interlevel(counts: list[int]) -> None:
 def test_extreme_densities_stay_finite(value: float) -> None:
     samples, sigma, rgb, sky, rays = (moved(x) for x in make([12] * 4))
     sigma = torch.full_like(sigma, value)
-    made = triton_render.render(samples, sigma, rgb, sky)
+    made = triton_render.forward(samples, sigma, rgb, sky)
     gradients, scale = Gradients.zeros(made), torch.ones_like(rays.norms)
     found = triton_render.kl(samples, sigma, rays.norms, rays.depth_m, 0.1 * rays.norms, scale, gradients.tau)
     gradients.rgb.fill_(1)
@@ -236,44 +235,39 @@ class Placed(TorchFunctionMode):
         return func(*args, **(kwargs or {}))
 
 
-def trained(device: torch.device) -> tuple[dict[str, Tensor], list[str]]:
+def trained(device: torch.device, kernels: Kernels) -> tuple[dict[str, Tensor], list[str]]:
     """Take two steps with a small field; return all parameters and where tensors were made on no named device."""
     samples, _, _, _, rays = make([9, 4, 0, 20] * 5)
     made = torch.Generator().manual_seed(2)
     samples.u.copy_(torch.rand(samples.u.shape, generator=made))
     samples, rays = (x if device.type == "cpu" else moved(x) for x in (samples, rays))
     config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), NetworkConfig(width=16))
-    field, sky = Field(config, device, seed=3), Sky(SkyConfig(sizes=(4, 8)), device)
+    field, sky = Field(config, device, 3, kernels.field), Sky(SkyConfig(sizes=(4, 8)), device)
     parameters = {f"field.{k}": v for k, v in field.parameters().items()} | {"sky.texels": sky.texels}
-    optimiser = Optimiser(OptimiserConfig(warm_up=0), parameters, {"field.grid": field.copies()["grid"]})
+    optimiser = Optimiser(OptimiserConfig(warm_up=0), parameters, {"field.grid": field.copies()["grid"]}, kernels.field)
     with Placed() as placed:
         for _ in range(2):
-            forth_and_back(field, sky, samples, rays)
+            forth_and_back(field, sky, samples, rays, kernels.render)
             optimiser.step(0.5)
     return {name: tensor.cpu() for name, tensor in parameters.items()}, placed.lost
 
 
-def forth_and_back(field: Field, sky: Sky, samples: Samples, rays: Rays) -> None:
+def forth_and_back(field: Field, sky: Sky, samples: Samples, rays: Rays, kernels: RenderKernels) -> None:
     """Set the gradients of all parameters."""
     sigma, rgb = field.forward(samples, rays.units)
     behind = sky.forward(rays.units)
-    rendered = render.render(samples, sigma, rgb, behind)
-    found = losses(LossConfig(loss="urf", trim=0.1), samples, rays, sigma, rendered)
-    d_sigma, d_rgb, d_sky = render.backward(samples, sigma, rgb, behind, rendered, found.gradients)
+    rendered = kernels.forward(samples, sigma, rgb, behind)
+    found = losses(LossConfig(loss="urf", trim=0.1), samples, rays, sigma, rendered, kernels)
+    d_sigma, d_rgb, d_sky = kernels.backward(samples, sigma, rgb, behind, rendered, found.gradients)
     field.backward(d_sigma, d_rgb)
     sky.backward(d_sky)
 
 
-def test_a_step_of_training(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_of_training() -> None:
     """The whole chain on the kernels moves the parameters as on the twin, and says where its tensors are made."""
-    monkeypatch.setattr(nerf.kernels, "cpu", plain, raising=False)
-    monkeypatch.setattr(nerf.kernels, "render_cpu", render_plain, raising=False)
-    expected, _ = trained(torch.device("cpu"))
-    monkeypatch.setattr(nerf.kernels, "cpu", triton_field)
-    monkeypatch.setattr(nerf.kernels, "render_cpu", triton_render)
-    found, lost = trained(DEVICE)
+    expected, _ = trained(torch.device("cpu"), plain_kernels())
+    found, lost = trained(DEVICE, triton_kernels())
     assert lost == []
-    assert nerf.kernels.kernels_for(DEVICE) is triton_field
     for name, theirs in expected.items():
         # Adam's first steps have the gradient's sign alone: where it is next to nothing, rounding decides.
         assert float(((found[name] - theirs).abs() > 2e-3).float().mean()) < 0.05, name

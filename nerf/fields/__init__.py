@@ -1,10 +1,12 @@
 """The study's three families of fields, one file each: what differs is the space, the samplers and the extra losses."""
 
-import pkgutil
 from dataclasses import dataclass
 from importlib import import_module
 
 from nerf.space import Kind
+from priors import extensions
+
+__path__.extend(extensions.folders("fields"))
 
 
 @dataclass(frozen=True)
@@ -23,7 +25,7 @@ class Family:
 
 def names() -> list[str]:
     """List the families."""
-    return sorted(module.name for module in pkgutil.iter_modules(__path__))
+    return extensions.names(__path__)
 
 
 def family(name: str) -> Family:

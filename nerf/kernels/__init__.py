@@ -1,33 +1,31 @@
-"""Fast versions of the field's functions, one module a kind of device; the trainer never asks which.
+"""Kernels: the fast functions of field, renderer and sampler. A folder a kind of device; `kernels_for` is the one door.
 
-Each module offers what `Kernels` lists. On any device without one, `plain` answers: the twin and its autograd.
+    cpu     compiled for one thread each by numba, run by a pool of threads
+    triton  compiled for a GPU; samples are drawn by `plain`, for Triton has no sampler of ours
+    plain   any other device: the twin in plain PyTorch (nerf/twin/) and its autograd
+
+Nobody else asks which device it is. Shapes are those of the twin.
 """
 
 import functools
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Protocol
+from typing import NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from nerf.grid import GridConfig
-    from nerf.render import Gradients, Rendered
-    from nerf.samples import Samples
-    from nerf.twin.field import Layers
+from nerf.types import Course, Gradients, GridConfig, Layers, Rendered, Samples
 
 
-class Kernels(Protocol):
-    """The functions of the field; shapes as in the twin. m is a multiple of BLOCK."""
+class FieldKernels(Protocol):
+    """The functions of the field: a hash grid, two small networks, and their optimiser. m is a multiple of BLOCK."""
 
     STORAGE: torch.dtype
     """The type in which the grid's weights are read."""
     BLOCK: int
     """The numbers of samples that the functions take are multiples of this."""
 
-    def encode(
-        self, u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: "GridConfig"
-    ) -> Tensor:
+    def encode(self, u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: GridConfig) -> Tensor:
         """Return features (levels, m, 2) of places u (m, 3)."""
 
     def spread(
@@ -36,21 +34,21 @@ class Kernels(Protocol):
         table: Tensor,
         footprint: Tensor | None,
         d_features: Tensor,
-        config: "GridConfig",
+        config: GridConfig,
         d_weights: Tensor,
     ) -> None:
         """Set d_weights (tables, rows, 2) to the gradient of the weights."""
 
-    def density(self, features: Tensor, layers: "Layers", initial: float) -> Tensor:
+    def density(self, features: Tensor, layers: Layers, initial: float) -> Tensor:
         """Return density (m,)."""
 
     def density_backward(
-        self, features: Tensor, layers: "Layers", initial: float, d_sigma: Tensor
-    ) -> tuple[Tensor, "Layers"]:
+        self, features: Tensor, layers: Layers, initial: float, d_sigma: Tensor
+    ) -> tuple[Tensor, Layers]:
         """Return the gradients of the features and of the layers (zero for the colour's)."""
 
     def shade(
-        self, features: Tensor, harmonics: Tensor, ray: Tensor, layers: "Layers", initial: float
+        self, features: Tensor, harmonics: Tensor, ray: Tensor, layers: Layers, initial: float
     ) -> tuple[Tensor, Tensor]:
         """Return density (m,) and colour (m, 3)."""
 
@@ -59,52 +57,34 @@ class Kernels(Protocol):
         features: Tensor,
         harmonics: Tensor,
         ray: Tensor,
-        layers: "Layers",
+        layers: Layers,
         initial: float,
         d_sigma: Tensor,
         d_rgb: Tensor,
-    ) -> tuple[Tensor, "Layers"]:
+    ) -> tuple[Tensor, Layers]:
         """Return the gradients of the features (levels, m, 2) and of the layers."""
 
     def adam(self, weights: Tensor, mean: Tensor, square: Tensor, copy: Tensor | None, rate: float, step: int) -> None:
         """Do the step-th (from 1) step of Adam with the gradient in `.grad`; round the weights to `copy`."""
 
 
-def kernels_for(device: torch.device) -> Kernels:
-    """Return the fastest functions for a device."""
-    if device.type == "cpu":
-        from nerf.kernels import cpu
+class RenderKernels(Protocol):
+    """Volume rendering (Max, TVCG 1995) of packed samples, and the losses that look at single samples."""
 
-        return cpu
-    if _runs_triton(device):
-        from nerf.kernels import triton_field
+    def forward(self, samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
+        """Composite samples near to far: density (m,), 1/m, and colour (m, 3) before a sky (r, 3).
 
-        return triton_field
-    from nerf.kernels import plain
-
-    return plain
-
-
-class Renderer(Protocol):
-    """The functions of the renderer and of the losses that look at samples; shapes as nerf.render and nerf.losses."""
-
-    def render(self, samples: "Samples", sigma: Tensor, rgb: Tensor, sky: Tensor) -> "Rendered":
-        """Composite."""
+        w = T (1 - exp(-sigma dt)), T the product of exp(-sigma dt) before.
+        """
 
     def backward(
-        self,
-        samples: "Samples",
-        sigma: Tensor,
-        rgb: Tensor,
-        sky: Tensor,
-        rendered: "Rendered",
-        gradients: "Gradients",
+        self, samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor, rendered: Rendered, gradients: Gradients
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Return the derivatives by sigma, rgb and sky."""
+        """Return the loss's derivatives by sigma (m,), rgb (m, 3) and sky (r, 3)."""
 
     def kl(
         self,
-        samples: "Samples",
+        samples: Samples,
         sigma: Tensor,
         norms: Tensor,
         prior_m: Tensor,
@@ -116,7 +96,7 @@ class Renderer(Protocol):
 
     def sight(
         self,
-        samples: "Samples",
+        samples: Samples,
         weights: Tensor,
         norms: Tensor,
         prior_m: Tensor,
@@ -126,28 +106,66 @@ class Renderer(Protocol):
     ) -> Tensor:
         """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
 
-    def distortion(self, samples: "Samples", weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:
+    def distortion(self, samples: Samples, weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:
         """Return the distortion (r,), add its gradient to d_weights (m,)."""
 
     def interlevel(
-        self, samples: "Samples", weights: Tensor, coarse: "Samples", coarse_weights: Tensor, scale: Tensor
+        self, samples: Samples, weights: Tensor, coarse: Samples, coarse_weights: Tensor, scale: Tensor
     ) -> tuple[Tensor, Tensor]:
         """Return the interlevel loss (r,) and its gradient by the coarse weights (m,)."""
 
 
-def renderer_for(device: torch.device) -> Renderer:
-    """Return the fastest renderer for a device."""
+class SampleKernels(Protocol):
+    """The functions of the samplers."""
+
+    def pick(self, course: Course, kept: Tensor | None, resolution: int) -> Samples:
+        """Return the candidates whose middle lies in a kept cell (flat uint8 grid; None: all), padded."""
+
+    def resample(self, samples: Samples, weights: Tensor, targets: Tensor, margin: float, anneal: float) -> Tensor:
+        """Return the ends (2, r, n) in s of n intervals of even mass under the weights (m,): nerf.twin.sample.resample.
+
+        targets: (r, n + 1) places of the ends in the cumulated mass, ascending in [0, 1].
+        """
+
+
+class Kernels(NamedTuple):
+    """All functions for one kind of device."""
+
+    field: FieldKernels
+    render: RenderKernels
+    sample: SampleKernels
+
+
+def kernels_for(device: torch.device) -> Kernels:
+    """Return the fastest functions for a device."""
     if device.type == "cpu":
-        from nerf.kernels import render_cpu
+        return cpu_kernels()
+    return triton_kernels() if _runs_triton(device) else plain_kernels()
 
-        return render_cpu
-    if _runs_triton(device):
-        from nerf.kernels import triton_render
 
-        return triton_render
-    from nerf.kernels import render_plain
+@functools.cache
+def cpu_kernels() -> Kernels:
+    """Return what numba compiled for this CPU."""
+    from nerf.kernels.cpu import field, render, sample
 
-    return render_plain
+    return Kernels(field, render, sample)
+
+
+@functools.cache
+def triton_kernels() -> Kernels:
+    """Return what Triton compiles for a GPU; the sampler is the plain one."""
+    from nerf.kernels.plain import sample
+    from nerf.kernels.triton import field, render
+
+    return Kernels(field, render, sample)
+
+
+@functools.cache
+def plain_kernels() -> Kernels:
+    """Return plain PyTorch."""
+    from nerf.kernels.plain import field, render, sample
+
+    return Kernels(field, render, sample)
 
 
 @functools.cache

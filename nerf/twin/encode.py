@@ -1,15 +1,12 @@
 """Hash-grid lookup in plain PyTorch."""
 
-from typing import TYPE_CHECKING
-
 import torch
 from torch import Tensor
 
-if TYPE_CHECKING:
-    from nerf.grid import GridConfig
+from nerf.types import GridConfig
 
 
-def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: "GridConfig") -> Tensor:
+def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: GridConfig) -> Tensor:
     """Return features (levels, m, 2) of u (m, 3) in [0, 1], table (m,), footprint (m,); weights (tables, rows, 2)."""
     features = []
     for shape in config.shapes.tolist():

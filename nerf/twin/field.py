@@ -1,22 +1,14 @@
 """The small networks in plain PyTorch."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from nerf.types import Layers
+
 LOGIT_MAX = 12.0
 """Densities stop at e^12 times the initial one."""
-
-
-class Layers(NamedTuple):
-    """The weights of the two networks, (out, in) each; no biases."""
-
-    density0: Tensor
-    density1: Tensor
-    colour0: Tensor
-    colour1: Tensor
-    colour2: Tensor
 
 
 class _Rounded(torch.autograd.Function):

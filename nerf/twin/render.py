@@ -6,9 +6,15 @@ Packed samples are spread to (rays, most samples of a ray), padding weighs nothi
 import torch
 from torch import Tensor
 
-from nerf.kernels.limits import LEAST, NO_TARGET, REACH, SOFT
-from nerf.render import OPACITY_FLOOR, Rendered
-from nerf.samples import Samples
+from nerf.types import (
+    INTERLEVEL_SOFT,
+    LEAST_MASS,
+    LEAST_OPACITY,
+    OPACITY_FLOOR,
+    SIGHT_DEVIATIONS,
+    Rendered,
+    Samples,
+)
 
 
 def spread(samples: Samples, packed: Tensor) -> Tensor:
@@ -30,7 +36,7 @@ def gather(samples: Samples, padded: Tensor) -> Tensor:
 
 
 def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
-    """Composite; see nerf.render.render."""
+    """Composite samples near to far."""
     tau = spread(samples, sigma * samples.dt_m.to(sigma))
     t = spread(samples, samples.t.to(sigma))
     after = torch.exp(-torch.cumsum(tau, 1))
@@ -64,9 +70,9 @@ def kl_of_tau(samples: Samples, tau: Tensor, norms: Tensor, prior_m: Tensor, dev
     tau = spread(samples, tau)
     mass = masses(samples, norms, prior_m, deviation_m)
     total = mass.sum(1, keepdim=True)
-    usable = (total[:, 0] >= NO_TARGET) & (prior_m > 0)
+    usable = (total[:, 0] >= LEAST_MASS) & (prior_m > 0)
     q = mass / torch.where(usable[:, None], total, 1.0)
-    log_w = torch.log((-torch.expm1(-tau)).clamp(min=LEAST)) - (torch.cumsum(tau, 1) - tau)
+    log_w = torch.log((-torch.expm1(-tau)).clamp(min=LEAST_OPACITY)) - (torch.cumsum(tau, 1) - tau)
     return torch.where(usable, -(q * log_w).sum(1), 0.0)
 
 
@@ -74,7 +80,7 @@ def sight(samples: Samples, weights: Tensor, norms: Tensor, prior_m: Tensor, dev
     """Return URF's line-of-sight loss (r,)."""
     w = spread(samples, weights)
     t = spread(samples, samples.t.to(weights))
-    reach = REACH * deviation_m[:, None]
+    reach = SIGHT_DEVIATIONS * deviation_m[:, None]
     near = (t - prior_m[:, None]).abs() <= reach
     target = torch.where(near, masses(samples, norms, prior_m, deviation_m), 0.0)
     counts = t <= prior_m[:, None] + reach
@@ -95,4 +101,4 @@ def interlevel(samples: Samples, weights: Tensor, coarse: Samples, coarse_weight
     bound, low, high = (spread(coarse, x.to(coarse_weights)) for x in (coarse_weights, coarse.s0, coarse.s1))
     meets = (low[:, None, :] < s1[:, :, None]) & (high[:, None, :] > s0[:, :, None])
     over = (w - (meets * bound[:, None, :]).sum(2)).clamp(min=0)
-    return (over**2 / (w + SOFT)).sum(1)
+    return (over**2 / (w + INTERLEVEL_SOFT)).sum(1)

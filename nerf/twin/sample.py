@@ -3,65 +3,11 @@
 What the kernels must equal bit for bit in float32; runs on any device.
 """
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
 from nerf.twin.space import ramp, unramp, warp
-
-
-@dataclass(frozen=True, slots=True)
-class Course:
-    """Along what each ray's candidates lie: a stretch even in s, then a band even in depth; (r,) or (r, 3) tensors."""
-
-    origins: Tensor
-    """(r, 3) places of the camera centres."""
-    directions: Tensor
-    """(r, 3) change of place per metre of depth."""
-    norms: Tensor
-    """(r,) metres along the ray per metre of depth."""
-    knee_m: Tensor
-    """(r,) depth up to which spacing is linear."""
-    low: Tensor
-    """(r,) ramp of the space's near depth."""
-    span: Tensor
-    """(r,) ramp of its far depth, less low."""
-    start: Tensor
-    """(r,) s where the stretch begins."""
-    stop: Tensor
-    """(r,) s where it ends; not beyond start: no stretch."""
-    count: Tensor
-    """(r,) int32 candidates in the stretch."""
-    band0_m: Tensor
-    """(r,) depth where the band begins."""
-    band1_m: Tensor
-    """(r,) depth where it ends; not beyond band0_m: no band."""
-    shift: Tensor
-    """(r,) in (0, 1]: the candidates' edges move by this share of an interval; 1: whole intervals only."""
-    ends: Tensor | None
-    """(2, r, slots) the candidates' ends in s, given instead of a stretch and a band; equal ends: none."""
-    band_count: int
-    """Candidates in each band."""
-    slots: int
-    """Columns that hold any ray's candidates."""
-    near_m: float
-    far_m: float
-    kind: int
-
-
-@dataclass(frozen=True, slots=True)
-class Picked:
-    """Kept candidates, packed; as in nerf.samples.Samples, without padding."""
-
-    offsets: Tensor
-    ray: Tensor
-    t: Tensor
-    dt_m: Tensor
-    s0: Tensor
-    s1: Tensor
-    u: Tensor
-    table: Tensor
+from nerf.types import Course, Samples
 
 
 def cells(u: Tensor, table: Tensor, resolution: int) -> Tensor:
@@ -70,8 +16,8 @@ def cells(u: Tensor, table: Tensor, resolution: int) -> Tensor:
     return ((table.to(torch.int64) * resolution + z) * resolution + y) * resolution + x
 
 
-def pick(course: Course, kept: Tensor | None, resolution: int) -> Picked:
-    """Return the candidates whose middle lies in a kept cell (flat uint8 grid; None: all)."""
+def pick(course: Course, kept: Tensor | None, resolution: int) -> Samples:
+    """Return the candidates whose middle lies in a kept cell (flat uint8 grid; None: all), without padding."""
     s0, s1, t0, t1 = _edges(course)
     t = (t0 + t1) * 0.5
     place = course.origins[:, None] + t[..., None] * course.directions[:, None]
@@ -82,12 +28,13 @@ def pick(course: Course, kept: Tensor | None, resolution: int) -> Picked:
     return pack(chosen, t, (t1 - t0) * course.norms[:, None], s0, s1, u, table)
 
 
-def pack(chosen: Tensor, t: Tensor, dt_m: Tensor, s0: Tensor, s1: Tensor, u: Tensor, table: Tensor) -> Picked:
+def pack(chosen: Tensor, t: Tensor, dt_m: Tensor, s0: Tensor, s1: Tensor, u: Tensor, table: Tensor) -> Samples:
     """Pack the chosen ones of (r, n) candidates ray by ray."""
     counts = chosen.sum(dim=1)
     offsets = torch.cat([counts.new_zeros(1), torch.cumsum(counts, 0)])
     ray = torch.nonzero(chosen)[:, 0].to(torch.int32)
-    return Picked(offsets, ray, t[chosen], dt_m[chosen], s0[chosen], s1[chosen], u[chosen], table[chosen])
+    t, dt_m, s0, s1, u, table = (x[chosen] for x in (t, dt_m, s0, s1, u, table))
+    return Samples(offsets, ray, t, dt_m, s0, s1, u, table, len(ray))
 
 
 def _edges(course: Course) -> tuple[Tensor, Tensor, Tensor, Tensor]:

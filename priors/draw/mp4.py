@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from priors import codecs, threads
+from priors import codecs
 from priors.errors import DataError
+from priors.machine import threads
 from priors.types import Image
 
 if TYPE_CHECKING:  # PyAV is imported when a video is written

@@ -1,9 +1,9 @@
-"""A network's confidence in two passes over memory; the slow twins are in tests/test_nets_confidence.py."""
+"""Confidence of a stereo network in two passes over memory; the slow twins are in tests/test_nets_confidence.py."""
 
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 from priors.types import FloatMap
 
 STRETCH = 256

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 Map = npt.NDArray[np.float32]
 

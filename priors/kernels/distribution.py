@@ -1,11 +1,11 @@
-"""Matching distributions in one pass over memory; the readable twin is nets/volume.expect in plain torch."""
+"""Matching distributions in one pass over memory; the readable twin is nets/cost_volume.expect in plain torch."""
 
 import math
 
 import numpy as np
 
-from priors.compiled import compiled
 from priors.kernels.floats import Bits, exponentiate, widen
+from priors.machine.compiled import compiled
 from priors.types import FloatMap
 
 STRETCH = 1024

@@ -1,10 +1,10 @@
-"""Numbers to 8 bits, for convolutions of integers."""
+"""Quantisation of numbers to 8 bits, for convolutions of integers."""
 
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
 from priors.kernels.floats import Bits
+from priors.machine.compiled import compiled
 
 ITEM_NS = 0.5
 

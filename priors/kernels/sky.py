@@ -1,10 +1,10 @@
-"""Loops of the sky mask: block means of the image, growth along smooth paths, refinement at full resolution."""
+"""Sky mask: its loops. Block means of the image, growth along smooth paths, refinement at full resolution."""
 
 import numpy as np
 import numpy.typing as npt
 
-from priors import threads
-from priors.compiled import compiled
+from priors.machine import threads
+from priors.machine.compiled import compiled
 from priors.types import FloatMap, Image, Mask
 
 Floats = npt.NDArray[np.float32]

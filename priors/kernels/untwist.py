@@ -1,11 +1,11 @@
-"""Move LiDAR points along the ego motion, one by one."""
+"""Untwisting (deskewing) of a LiDAR sweep: its points are moved along the ego motion, one by one."""
 
 import math
 
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 SERIES_BELOW = 0.01  # rad^2: there the series below is exact to 1e-9, and a sweep rarely turns by more
 

@@ -1,4 +1,4 @@
-"""What is seen: past free space, not behind a nearer surface, not where stereo sees another.
+"""Visibility of LiDAR points: past free space, not behind a nearer surface, not where stereo sees another.
 
 Fused loops: over whole images, numpy's temporary arrays cost more than the arithmetic.
 """
@@ -6,7 +6,7 @@ Fused loops: over whole images, numpy's temporary arrays cost more than the arit
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
+from priors.machine.compiled import compiled
 
 
 @compiled

@@ -1,10 +1,10 @@
-"""Splat LiDAR sweeps into a depth map, nearest surface first."""
+"""Z-buffer: LiDAR sweeps are splatted into a depth map, the nearest surface wins."""
 
 import numpy as np
 import numpy.typing as npt
 
-from priors.compiled import compiled
 from priors.kernels.untwist import move_point
+from priors.machine.compiled import compiled
 
 
 @compiled

@@ -26,7 +26,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors.colours import as_rgb
+from priors.codecs import as_rgb
 from priors.errors import DataError
 from priors.types import Camera, FloatMap, Image
 

@@ -3,8 +3,8 @@
 import cv2
 import numpy as np
 
-from priors.diffusion import diffuse
-from priors.matching import match, to_grey
+from priors.pairs.matching import match, to_grey
+from priors.pairs.smoothing import diffuse
 from priors.types import FloatMap, Image
 
 TOLERANCE_M = 1.0

@@ -1,4 +1,4 @@
-"""Networks as ONNX graphs: written down once a size of input, run by onnxruntime."""
+"""ONNX graphs of networks: exported once for each size of input, run by onnxruntime."""
 
 import json
 import threading

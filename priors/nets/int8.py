@@ -1,37 +1,31 @@
-"""Convolutions of 8-bit integers, on CPUs that multiply four of them at a time (VNNI), in stereo networks.
+"""int8 inference: convolutions of 8-bit integers in stereo networks, on CPUs with VNNI.
 
-    python -m priors.nets.int8 --net cfnet --data KITTI/odometry/sequences/06 street/ --every 10
-
-measures in which range the inputs of the large 2D convolutions lie, on drives that trained the network, and writes it
-beside the weights: FILE.int8.json. Weights get a scale for each output (Krishnamoorthi 2018, "Quantizing deep
-convolutional networks for efficient inference", section 3), inputs one scale and zero for all. Everything else of the
-network stays as it is. Without VNNI pairs of products saturate at 16 bits, so that it is refused there.
+VNNI multiplies four pairs of them at a time. The ranges of the large 2D convolutions' inputs were measured on drives
+that trained the network (learn/int8_ranges.py), and lie beside its weights: FILE.int8.json. Weights get a scale for
+each output (Krishnamoorthi 2018, "Quantizing deep convolutional networks for efficient inference", section 3), inputs
+one scale and zero for all. Everything else of the network stays as it is. Without VNNI pairs of products saturate at 16
+bits, so that it is refused there.
 """
 
 import json
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from priors import codecs, cpu, threads
 from priors.errors import DataError
+from priors.machine import cpu, threads
 from priors.nets import weights
-from priors.nets.bits import as_bits
+from priors.nets.tensors import as_bits
 
 LEAST_INPUTS, LEAST_OUTPUTS = 28, 9
 """Channels from which on a convolution gains more than rounding its input costs."""
-TAIL = 1e-5
-"""Share of the values that may lie beyond a range, on either side."""
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
+class ActivationRange:
     """Where the values of a convolution's input lie, 0 among them."""
 
     low: float
@@ -51,7 +45,7 @@ class Range:
 class IntegerConv(nn.Module):
     """A 2D convolution on 8 bits, plus a given map, and a ReLU; takes and gives what it stands in for."""
 
-    def __init__(self, conv: nn.Conv2d, span: Range) -> None:
+    def __init__(self, conv: nn.Conv2d, span: ActivationRange) -> None:
         super().__init__()
         self.span = span
         self.shape = [list(map(int, sizes)) for sizes in (conv.stride, conv.padding, conv.dilation)]
@@ -64,7 +58,7 @@ class IntegerConv(nn.Module):
         self.bias = None if conv.bias is None else conv.bias.detach().float()
         self.groups = conv.groups
 
-    def forward(self, x: Tensor, plus: Tensor | None = None, to: Range | None = None) -> Tensor:
+    def forward(self, x: Tensor, plus: Tensor | None = None, to: ActivationRange | None = None) -> Tensor:
         """Return relu(conv(x) + plus), (b, channels, h, w), of x's type, or in 8 bits for what has the range `to`.
 
         x may be in 8 bits of its own range already; the result has then the type of `plus`.
@@ -116,7 +110,7 @@ def mark(net: nn.Module, file: Path) -> None:
     for name, layer in candidates(net).items():
         if name not in ranges:
             raise DataError(
-                f"{beside(file)}: no range for {name}: made for another network; make it again (priors.nets.int8)"
+                f"{beside(file)}: no range for {name}: made for another network: run priors.learn.int8_ranges"
             )
         layer.span = ranges[name]  # type: ignore[assignment]
 
@@ -126,16 +120,16 @@ def beside(file: Path) -> Path:
     return file.with_suffix(".int8.json")
 
 
-def read(file: Path) -> dict[str, Range]:
+def read(file: Path) -> dict[str, ActivationRange]:
     """Read the ranges of a file of weights; DataError where there are none or they are of other weights."""
     path = beside(file)
     try:
         found = json.loads(path.read_text())
     except (OSError, ValueError) as error:
-        raise DataError(f"{path}: no ranges for int8: make them with python -m priors.nets.int8") from error
+        raise DataError(f"{path}: no ranges for int8: make them with python -m priors.learn.int8_ranges") from error
     if found.get("weights") != weights.digest(file):
-        raise DataError(f"{path}: ranges of other weights: make them again with python -m priors.nets.int8")
-    return {name: Range(*ends) for name, ends in found["ranges"].items()}
+        raise DataError(f"{path}: ranges of other weights: make them again with python -m priors.learn.int8_ranges")
+    return {name: ActivationRange(*ends) for name, ends in found["ranges"].items()}
 
 
 def runs(net: str | None, size: str, file: Path | None = None) -> bool:
@@ -155,81 +149,3 @@ def digest(file: Path) -> str:
 def available() -> bool:
     """Tell whether this CPU, in its mode, multiplies 8-bit integers without overflow."""
     return cpu.mode() in ("amx", "avx512_bf16", "avx512") and "avx512vnni" in cpu.features()
-
-
-@contextmanager
-def watched(net: nn.Module) -> Iterator[dict[str, Range]]:
-    """Widen the ranges of the candidates' inputs by what runs through a plain network inside."""
-    found: dict[str, Range] = {}
-
-    def look(name: str) -> Any:
-        def hook(layer: nn.Module, inputs: tuple[Tensor, ...]) -> None:
-            some = inputs[0].float().flatten()[:: max(1, inputs[0].numel() // 2_000_000)]
-            low, high = (float(torch.quantile(some, share)) for share in (TAIL, 1 - TAIL))
-            before = found.get(name, Range(0, 0))
-            found[name] = Range(min(before.low, low), max(before.high, high))
-
-        return hook
-
-    hooks = [layer.register_forward_pre_hook(look(name)) for name, layer in candidates(net).items()]
-    try:
-        yield found
-    finally:
-        for hook in hooks:
-            hook.remove()
-
-
-def measure(net: str, size: str, pairs: Iterable[tuple[Tensor, Tensor]], file: Path | None = None) -> dict[str, Range]:
-    """Return the ranges on pairs (1, 3, h, w) in [0, 1]."""
-    from priors.nets.runtime import open_net
-
-    ready = open_net(net, size, "onnx", file)  # plain, float32
-    with watched(ready.net) as found:
-        for left, right in pairs:
-            ready(left, right, largest_px=192)
-    return found
-
-
-def main() -> None:
-    """Measure and write ranges."""
-    import tyro
-
-    tyro.cli(calibrate, description=__doc__)
-
-
-def calibrate(
-    net: str,
-    data: list[Path],
-    every: int = 10,
-    size: str = "s",
-    weights_file: Path | None = None,
-) -> None:
-    """Write the ranges of a stereo network's inputs on drives' pairs.
-
-    Args:
-        net: cfnet or pcwnet.
-        data: drives with pairs; none that is for testing.
-        every: take every so many frames.
-        size: s, m or l.
-        weights_file: your own weights; default: what ships.
-    """
-    from priors.drives import open_drive
-    from priors.nets.runtime import as_input
-
-    path = weights.find(net, size, weights_file)
-    drives = [open_drive(folder) for folder in data]
-    frames = [drive[k] for drive in drives for k in range(0, len(drive), every)]
-    pairs = ((as_input(frame.image()), as_input(frame.other())) for frame in frames)
-    ranges = measure(net, size, pairs, weights_file)
-    text = {
-        "weights": weights.digest(path),
-        "data": [drive.name for drive in drives],
-        "pairs": len(frames),
-        "ranges": {name: [round(span.low, 5), round(span.high, 5)] for name, span in ranges.items()},
-    }
-    codecs.write_bytes(beside(path), (json.dumps(text) + "\n").encode())
-    print(f"wrote {beside(path)}: {len(ranges)} convolutions, {len(frames)} pairs")
-
-
-if __name__ == "__main__":
-    main()

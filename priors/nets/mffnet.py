@@ -14,12 +14,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors import threads
 from priors.errors import DataError
-from priors.nets.bits import as_bits
+from priors.machine import threads
 from priors.nets.blocks import Residual, conv
-from priors.nets.dispatch import without_gradient
-from priors.nets.join import join
+from priors.nets.tensors import as_bits, join, without_gradient
 from priors.nets.trunk import normalise, pad
 
 SIZES: dict[str, tuple[int, ...]] = {"s": (16, 32, 48, 64, 96), "m": (16, 48, 64, 96, 128)}
@@ -137,7 +135,7 @@ def correct(raw: Tensor, log_fill: Tensor, branches: bool) -> tuple[Tensor, ...]
 
 def _correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, ...]:
     """Do the same in a kernel, without the branches."""
-    from priors.kernels import correction as kernels
+    from priors.kernels import depth_correction as kernels
 
     depth, scale = torch.empty_like(log_fill), torch.empty_like(log_fill)
     cells = as_bits(raw.permute(0, 2, 3, 1))

@@ -11,7 +11,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
-from priors.cpu import Mode
+from priors.machine.cpu import Mode
 
 FILE = Path(__file__).with_name("speeds.json")
 FAST_BF16: tuple[Mode, ...] = ("amx", "avx512_bf16")

@@ -9,7 +9,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors.nets.blocks import Residual, conv
-from priors.nets.join import join
+from priors.nets.tensors import join
 
 SIZES: dict[str, tuple[int, int, int, int]] = {
     "s": (32, 64, 96, 128),

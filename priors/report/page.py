@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from eval.sheet import Sheet
+from eval.typeset import Table
 from priors import codecs
 from priors.draw import lines
 from priors.draw.lines import Plot
@@ -54,7 +54,7 @@ class Section:
 
     title: str
     text: str = ""
-    sheet: Sheet | None = None
+    table: Table | None = None
     figures: Sequence[Figure] = ()
     pictures: Sequence[Picture] = ()
     facts: Mapping[str, str] = field(default_factory=dict)
@@ -65,7 +65,7 @@ class Section:
     @property
     def empty(self) -> bool:
         """Whether there is nothing under the heading."""
-        return not (self.text or self.sheet or self.figures or self.pictures or self.facts or self.commands)
+        return not (self.text or self.table or self.figures or self.pictures or self.facts or self.commands)
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,19 @@ import numpy as np
 from eval import table
 from eval.curves import Curves
 from eval.result import Result
+from priors.cache import Prior
+from priors.draw.comparison import compare
 from priors.draw.lines import Line, Plot
 from priors.report.page import Figure, Page, Picture, Section
+from priors.selection import select
+from priors.types import Drive
 
 BY_RANGE = ("abs_rel", "rmse")
 """What is drawn by true distance."""
+PICTURED = 4
+"""Frames whose maps are on a page."""
+TILE_PX = 400
+"""Width of each map there."""
 
 
 def scores_page(
@@ -41,13 +49,35 @@ def scores_page(
         f"Depth priors of {', '.join(drives)}" if drives else "Depth priors",
         "Depth maps scored against the truth. The best figure of a column is bold, the second underlined.",
         [
-            Section("Figures", sheet=table.sheet(results, keys)),
+            Section("Figures", table=table.table_of(results, keys)),
             Section("Error by true distance", figures=[Figure(by_range(results), len(BY_RANGE))]),
             Section("Sparsification: the error as the least confident pixels are dropped", figures=sparsified),
             Section("Frames", pictures=pictures),
             Section("How it was made", commands=[command]),
         ],
     )
+
+
+def picture_frames(
+    drive: Drive, priors: Sequence[Prior], names: Sequence[str], frames: str | None = None
+) -> list[Picture]:
+    """Draw the maps of some frames that are spread evenly over those with maps.
+
+    Args:
+        drive: the drive of all the priors.
+        priors: whose maps.
+        names: what to call each.
+        frames: only of this range of frames, a:b.
+    """
+    cached = {id_ for prior in priors for id_ in prior.ids()}
+    indices = [index for index in select(drive.ids, frames) if drive.ids[index] in cached]
+    step = max(1, len(indices) // PICTURED)
+    pictures = []
+    for index in indices[step // 2 :: step][:PICTURED]:
+        frame = drive[index]
+        rows = [(name, prior.read(frame.id)) for name, prior in zip(names, priors, strict=True) if prior.has(frame.id)]
+        pictures.append(Picture(f"frame {frame.id}", compare(frame, rows, TILE_PX)))
+    return pictures
 
 
 def sparsification(name: str, made: Sequence[Curves]) -> list[Plot]:

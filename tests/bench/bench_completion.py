@@ -75,7 +75,7 @@ def fills(weights: Path | None) -> dict[str, Fill]:
     except DataError as error:
         print(f"without the network: {error}")
     else:
-        found["mffnet"] = lambda frame, image, sparse_m: network.mend(sparse_m, image, frame.camera, frame.T_cam_lidar)
+        found["mffnet"] = lambda frame, image, sparse_m: network.fill(sparse_m, image, frame.camera, frame.T_cam_lidar)
     return found
 
 

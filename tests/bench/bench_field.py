@@ -21,14 +21,13 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from nerf.field import Field, FieldConfig
-from nerf.grid import GridConfig
 from nerf.harmonics import harmonics
 from nerf.mlp import NetworkConfig
 from nerf.optimise import Optimiser, OptimiserConfig
-from nerf.samples import Samples
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
-from priors import cpu, threads
+from nerf.types import GridConfig, Samples
+from priors.machine import cpu, threads
 
 PER_RAY = 32
 
@@ -61,6 +60,7 @@ def best(function: Callable[[], object], rounds: int = 30) -> float:
 
 def main() -> None:
     """Run the benchmark."""
+    cpu.hold_down()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=65536)
     parser.add_argument("--rounds", type=int, default=5)

@@ -40,8 +40,7 @@ def main() -> None:
     write_street(options.folder / "street", 40, 7, (96, 320), workers=2)
     drive = open_drive(options.folder / "street")
     filters = Filters(sky="mask")
-    prior, method = build.prepare(drive, "stereo", Stereo(), filters, options.folder / "cache")
-    build.build(drive, prior, method, filters, build.plan(drive, prior, method.reads, build.Selection()))
+    prior = build.prepare(drive, Stereo(), filters, options.folder / "cache").run().prior
     positions = list(range(len(drive)))
     warm = open_scene(drive, prior, "sparse", positions, options.folder / "scenes")
     with tempfile.TemporaryDirectory() as runs:

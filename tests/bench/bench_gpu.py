@@ -7,7 +7,6 @@ import argparse
 import platform
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,16 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-import nerf.kernels
-from nerf import render
 from nerf.field import Field, FieldConfig
-from nerf.grid import GridConfig
 from nerf.harmonics import harmonics
-from nerf.kernels import cpu, kernels_for, plain, render_cpu, render_plain, renderer_for
+from nerf.kernels import Kernels, kernels_for, plain_kernels
 from nerf.mlp import NetworkConfig
 from nerf.optimise import Optimiser, OptimiserConfig
-from nerf.render import Gradients
-from nerf.samples import Samples
+from nerf.types import Gradients, GridConfig, Samples
 
 RAY_SAMPLES = 32
 
@@ -38,19 +33,20 @@ class Step:
     samples: Samples
     units: Tensor
     sky: Tensor
+    kernels: Kernels
 
     def __call__(self) -> None:
         sigma, rgb = self.field.forward(self.samples, self.units)
-        rendered = render.render(self.samples, sigma, rgb, self.sky)
+        rendered = self.kernels.render.forward(self.samples, sigma, rgb, self.sky)
         gradients = Gradients.zeros(rendered)
         gradients.rgb.copy_(rendered.rgb - 0.5)
-        d_sigma, d_rgb, _ = render.backward(self.samples, sigma, rgb, self.sky, rendered, gradients)
+        d_sigma, d_rgb, _ = self.kernels.render.backward(self.samples, sigma, rgb, self.sky, rendered, gradients)
         self.field.backward(d_sigma, d_rgb)
         self.optimiser.step(0.5)
 
 
-def prepare(device: torch.device, count: int, config: FieldConfig) -> Step:
-    """Make rays with RAY_SAMPLES samples each through the unit cube, and a field."""
+def prepare(device: torch.device, count: int, config: FieldConfig, kernels: Kernels) -> Step:
+    """Make rays with RAY_SAMPLES samples each through the unit cube, and a field that runs on these kernels."""
     rays = count // RAY_SAMPLES
     made = torch.Generator().manual_seed(0)
     units = torch.nn.functional.normalize(torch.randn(rays, 3, generator=made), dim=1)
@@ -68,42 +64,32 @@ def prepare(device: torch.device, count: int, config: FieldConfig) -> Step:
         table=torch.zeros(count, dtype=torch.int32, device=device),
         used=count,
     )
-    field = Field(config, device)
-    optimiser = Optimiser(OptimiserConfig(), field.parameters(), field.copies())
-    return Step(field, optimiser, samples, units.to(device), torch.full((rays, 3), 0.5, device=device))
+    field = Field(config, device, kernels=kernels.field)
+    optimiser = Optimiser(OptimiserConfig(), field.parameters(), field.copies(), kernels.field)
+    return Step(field, optimiser, samples, units.to(device), torch.full((rays, 3), 0.5, device=device), kernels)
 
 
 def parts(step: Step) -> dict[str, Callable[[], Any]]:
     """Return the stages of a step, each to be called alone."""
     field, samples = step.field, step.samples
-    fast, painter = kernels_for(field.device), renderer_for(field.device)
+    fast, painter = step.kernels.field, step.kernels.render
     grid, layers, config = field.grid, field.network.layers, field.config.grid
     weights = grid.weights.to(fast.STORAGE)
     basis = harmonics(step.units)
     features = fast.encode(samples.u, samples.table, None, weights, config)
     sigma, rgb = fast.shade(features, basis, samples.ray, layers, 0.02)
-    made = painter.render(samples, sigma, rgb, step.sky)
+    made = painter.forward(samples, sigma, rgb, step.sky)
     gradients, spread = Gradients.zeros(made), torch.zeros_like(grid.weights)
     gradients.rgb.fill_(1)
     return {
         "encode": lambda: fast.encode(samples.u, samples.table, None, weights, config),
         "shade": lambda: fast.shade(features, basis, samples.ray, layers, 0.02),
-        "render": lambda: painter.render(samples, sigma, rgb, step.sky),
+        "render": lambda: painter.forward(samples, sigma, rgb, step.sky),
         "render backward": lambda: painter.backward(samples, sigma, rgb, step.sky, made, gradients),
         "shade backward": lambda: fast.shade_backward(features, basis, samples.ray, layers, 0.02, sigma, rgb),
         "spread": lambda: fast.spread(samples.u, samples.table, None, features, config, spread),
         "update": lambda: step.optimiser.step(0.5),
     }
-
-
-@contextmanager
-def plainly() -> Iterator[None]:
-    """Let every device use the plain twin."""
-    found = nerf.kernels._runs_triton
-    nerf.kernels._runs_triton = lambda device: False
-    nerf.kernels.cpu, nerf.kernels.render_cpu = plain, render_plain
-    yield
-    nerf.kernels._runs_triton, nerf.kernels.cpu, nerf.kernels.render_cpu = found, cpu, render_cpu
 
 
 def milliseconds(run: Callable[[], Any], device: torch.device, repeats: int) -> float:
@@ -143,14 +129,12 @@ def measure(
     The twin takes as many samples: with fewer, what a call costs whatever its size would count too much.
     The graph comes last: where recording it fails, the GPU may refuse everything after it.
     """
-    fast = prepare(device, count, config)
-    with plainly():
-        slow = prepare(device, count, config)
+    fast = prepare(device, count, config, kernels_for(device))
+    slow = prepare(device, count, config, plain_kernels())
     times = []
     for _ in range(rounds):
         one = milliseconds(fast, device, repeats)
-        with plainly():
-            other = milliseconds(slow, device, 1)
+        other = milliseconds(slow, device, 1)
         times.append((one, other))
     one, other = np.median(times, axis=0)
     yield {
@@ -181,7 +165,7 @@ def main() -> None:
     config = FieldConfig(GridConfig(log2_size=options.log2_size), NetworkConfig(width=options.width))
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU {platform.machine()}"
     print(f"{name}; torch {torch.__version__}; {count} samples, {config.grid.rows} rows, {options.width} neurons")
-    print(f"{kernels_for(device).__name__}; forward + backward + update; the twin does the same samples")
+    print(f"{kernels_for(device).field.__name__}; forward + backward + update; the twin does the same samples")
     for figures in measure(device, count, config, options.rounds, options.repeats):
         for key, value in figures.items():
             print(f"  {key:20}{value:10.3f}", flush=True)

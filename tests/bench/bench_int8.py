@@ -12,7 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from priors import codecs, cpu
+from priors import codecs
+from priors.machine import cpu
 from priors.nets import runtime
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -22,6 +23,7 @@ LARGEST_PX = 192
 
 def main() -> None:
     """Print a table."""
+    cpu.hold_down()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--net", nargs="+", default=["cfnet", "pcwnet"])

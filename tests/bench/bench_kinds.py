@@ -2,7 +2,7 @@
 
     python tests/bench/bench_kinds.py [--samples 65536] [--rounds 5]
 
-Runs bench_field.py under each mode of ROADPRIOR_CPU (priors/cpu.py). A kind that is not this machine's own has its
+Runs bench_field.py under each mode of ROADPRIOR_CPU (priors/machine/cpu.py). A kind that is not this machine's has its
 instructions, but this machine's caches and clock; amx_emulated is left out, since its speed says nothing. PSNR of each
 kind: `ROADPRIOR_CPU=... nerf study`, see docs/benchmarks.md.
 """
@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from priors import cpu
+from priors.machine import cpu
 
 
 def main() -> None:

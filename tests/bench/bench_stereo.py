@@ -15,8 +15,8 @@ import numpy.typing as npt
 
 from priors.drives import DriveOptions, open_drive
 from priors.geometry import convert_disparity
-from priors.matching import to_grey
 from priors.methods.stereo import Stereo
+from priors.pairs.matching import to_grey
 from priors.types import Depth, Frame
 
 SHARES = (1.0, 0.9228, 0.8, 0.6, 0.4, 0.2)

@@ -10,11 +10,11 @@ os.environ |= {"NUMBA_CPU_NAME": "sapphirerapids", "NUMBA_CPU_FEATURES": "+amx-t
 import numpy as np
 from numba import typeof
 
-from priors import cpu
+from priors.machine import cpu
 
 cpu.mode = lambda: "amx"  # what follows asks it as it is imported
 
-from nerf.kernels import perceptron  # noqa: E402
+from nerf.kernels.cpu import perceptron  # noqa: E402
 
 words, numbers = np.zeros(512, np.int32), np.zeros(256, np.float32)
 net = perceptron.Net(4, *[words] * 5)

@@ -5,8 +5,8 @@ from argparse import Namespace
 import torch
 
 from nerf.field import FieldConfig
-from nerf.grid import GridConfig
 from nerf.mlp import NetworkConfig
+from nerf.types import GridConfig
 from tests.bench.bench_gpu import measure
 from tests.bench.gpu.parts import note
 

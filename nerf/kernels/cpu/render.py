@@ -1,0 +1,89 @@
+"""The renderer on the CPU: tensors to the compiled loops and back, without copies; rays are tasks of the pool."""
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from nerf.kernels.cpu import composite
+from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples
+from priors.machine import threads
+
+
+def forward(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
+    """Composite samples near to far."""
+    rays = len(samples.offsets) - 1
+    each = torch.empty(3, rays)
+    out = Rendered(torch.empty(rays, 3), each[0], each[1], each[2], torch.empty_like(sigma))
+    filled = (out.rgb, out.depth_m, out.median_m, out.transmittance, out.weights)
+    arrays = (samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky)
+    _run(composite.forward, rays, (*arrays, OPACITY_FLOOR), filled)
+    out.weights[samples.used :] = 0
+    return out
+
+
+def backward(
+    samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor, rendered: Rendered, gradients: Gradients
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return the derivatives by sigma, rgb and sky."""
+    found = torch.empty_like(sigma), torch.empty_like(rgb), torch.empty_like(sky)
+    arrays = (samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky)
+    made = (rendered.depth_m, rendered.transmittance, rendered.weights)
+    given = (gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau)
+    _run(composite.backward, len(sky), (*arrays, OPACITY_FLOOR, *made, *given), found)
+    found[0][samples.used :] = 0
+    found[1][samples.used :] = 0
+    return found
+
+
+def kl(
+    samples: Samples, sigma: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor, scale: Tensor, d_tau: Tensor
+) -> Tensor:
+    """Return the KL loss (r,), add its gradient to d_tau (m,)."""
+    loss = torch.empty_like(prior_m)
+    arrays = (samples.offsets, sigma, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale)
+    _run(composite.kl, len(scale), arrays, (loss, d_tau))
+    return loss
+
+
+def sight(
+    samples: Samples,
+    weights: Tensor,
+    norms: Tensor,
+    prior_m: Tensor,
+    deviation_m: Tensor,
+    scale: Tensor,
+    d_weights: Tensor,
+) -> Tensor:
+    """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
+    loss = torch.empty_like(prior_m)
+    arrays = (samples.offsets, weights, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale)
+    _run(composite.sight, len(scale), arrays, (loss, d_weights))
+    return loss
+
+
+def distortion(samples: Samples, weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:
+    """Return the distortion (r,), add its gradient to d_weights (m,)."""
+    loss = torch.zeros(len(scale))
+    arrays = (samples.offsets, weights, samples.s0, samples.s1, scale)
+    _run(composite.distortion, len(scale), arrays, (loss, d_weights))
+    return loss
+
+
+def interlevel(
+    samples: Samples, weights: Tensor, coarse: Samples, coarse_weights: Tensor, scale: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return the interlevel loss (r,) and its gradient by the coarse weights (m,)."""
+    loss, d_coarse = torch.empty(len(scale)), torch.empty_like(coarse_weights)
+    fine = (samples.offsets, weights, samples.s0, samples.s1)
+    arrays = (*fine, coarse.offsets, coarse_weights, coarse.s0, coarse.s1, scale)
+    _run(composite.interlevel, len(scale), arrays, (loss, d_coarse))
+    d_coarse[coarse.used :] = 0
+    return loss, d_coarse
+
+
+def _run(loop: Any, rays: int, given: tuple[Any, ...], filled: tuple[Tensor, ...]) -> None:
+    """Run a loop over rays; what it reads is made contiguous, what it fills is filled where it lies."""
+    views = [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in given]
+    views += [tensor.numpy() for tensor in filled]
+    threads.over(rays, lambda first, last: loop(*views, first, last))

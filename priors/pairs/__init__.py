@@ -1,0 +1,1 @@
+"""A rectified stereo pair: reading it, matching it, and the rectification error of its disparities."""
