@@ -55,7 +55,8 @@ def test_settings_are_found_by_their_names() -> None:
 
 def test_checks_are_not_assertions() -> None:
     """`python -O` drops assertions: what must hold is checked with a message, or said by a type."""
-    rooms = ("priors/methods", "priors/pairs", "priors/build", "priors/selection", "priors/score", "priors/check")
+    rooms = ("priors/methods", "priors/pairs", "priors/nets", "priors/adapt", "priors/learn")
+    rooms += ("priors/build", "priors/selection", "priors/score", "priors/check")
     left = [
         f"{path.relative_to(ROOT)}:{node.lineno}"
         for path in sources()

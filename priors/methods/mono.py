@@ -127,7 +127,7 @@ class Mono(Method):
         """
         if not self._needs_drive:
             return self
-        from priors.adapt.selection import training_views
+        from priors.adapt.training_frames import training_views
 
         indices = training_views(len(drive), select(drive.ids, self.frames), self.hold_out)
         network = self.network
