@@ -1,25 +1,21 @@
 """`nerf eval`: score runs and put them into one table."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cli.arguments import Device, ThreadArguments, parse, pick_device
+from cli.arguments import Device, ThreadArguments, parse
 from cli.console import out, progress
 from eval import lpips, sheet
-from nerf import checkpoint
 from nerf.pictures import compare, load_view
-from nerf.report import Report, Truths, report
+from nerf.report import Report, Truths
 from nerf.run import Run, open_run
-from nerf.scene import Scene
 from nerf.study_table import COLUMNS
-from nerf.view import renderer
 from priors import codecs
 from priors.errors import DataError
-from priors.types import Drive
 
 EXAMPLES = """Score runs' held-out views and print one table; views that were rendered already are not rendered again.
 
@@ -70,68 +66,38 @@ def run(arguments: list[str]) -> int:
 
 
 def _score(args: ReportArguments) -> int:
-    opened, reports = [], []
-    for folder in args.runs:
-        made = open_run(folder)
-        drive = made.drive()
-        scene = made.scene(drive, progress)
-        opened.append((made, scene))
-        reports.append(report_run(made, args.lpips, scene, drive, _told_by_study(folder), args.device))
-    laid = print_table(reports)
+    lpips = args.lpips.open()
+    runs = [replace(open_run(folder), progress=progress) for folder in args.runs]
+    laid = print_table([each.report(args.device, lpips) for each in runs])
     for path in args.save:
         codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
         out.print(f"wrote {path}")
     if args.pictures is not None:
-        _picture(opened, args.pictures)
+        _picture(runs, args.pictures)
     return 0
 
 
-def _told_by_study(folder: Path) -> dict[str, object] | None:
-    """Return what a study wrote of a run, so that the study still finds it done; None where it was no study's."""
-    path = folder / "metrics.json"
-    info = Report.load(path).info if path.exists() else {}
-    return info if "command" in info else None
-
-
-def _picture(runs: Sequence[tuple[Run, Scene]], folder: Path) -> None:
+def _picture(runs: Sequence[Run], folder: Path) -> None:
     """Write a picture of each view that all runs hold out; they must be of one drive."""
-    first, scene = runs[0]
-    drive = first.drive()
-    if any(made.drive().fingerprint() != drive.fingerprint() for made, _ in runs[1:]):
+    drive, scene = runs[0].drive, runs[0].scene
+    if any(each.drive.fingerprint() != drive.fingerprint() for each in runs[1:]):
         raise DataError("--pictures: the runs are of several drives: name the runs of one")
-    ids = [[each.ids[position] for position in each.test] for _, each in runs]
+    ids = [[each.scene.ids[position] for position in each.scene.test] for each in runs]
     truths = Truths(drive, ids[0])
     common = [(id_, position) for id_, position in zip(ids[0], scene.test, strict=True) if all(id_ in i for i in ids)]
     for id_, position in common:
-        views = [(made.name, *load_view(made.folder / "renders", id_)) for made, _ in runs]
+        views = [(each.name, *load_view(each.folder / "renders", id_)) for each in runs]
         codecs.write_image(folder / f"{id_}.jpg", compare(id_, scene.images[position], truths(id_), views), 90)
     out.print(f"wrote {len(common)} pictures to {folder}")
 
 
-def report_run(
-    made: Run,
-    weights: LpipsArguments,
-    scene: Scene,
-    drive: Drive,
-    info: dict[str, object] | None = None,
-    device: Device = "auto",
-) -> Report:
-    """Score a run's held-out views."""
-    render = renderer(checkpoint.open_model(made.folder, pick_device(device)))
-    truths = Truths(drive, [scene.ids[position] for position in scene.test])
-    told = info or {"name": made.name, "config": asdict(made.config)}
-    key = checkpoint.digest(made.folder)
-    with progress(f"views of {made.name}", len(scene.test)) as step:
-        return report(scene, truths, render, made.folder, key, told, weights.open(), on_frame=step)
-
-
 def print_table(reports: Sequence[Report]) -> sheet.Sheet:
     """Print a row a run."""
-    rows = [((str(made.info["name"]),), made.metrics()) for made in reports]
+    rows = [((str(each.info["name"]),), each.metrics()) for each in reports]
     have = {key for _, figures in rows for key in figures}
     columns = {key: column for key, column in COLUMNS.items() if key in have}
     caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
-    remarks = list(dict.fromkeys(remark for made in reports for remark in made.remarks))
+    remarks = list(dict.fromkeys(remark for each in reports for remark in each.remarks))
     laid = sheet.lay(("run",), columns, rows, caption, remarks)
     if out.is_terminal:
         out.print(sheet.render(laid, out.width))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.image import as_uint8
-from nerf.pictures import OPAQUE, Render, RenderedView
+from nerf.types import OPAQUE, Render, RenderedView
 from priors import codecs
 from priors.errors import DataError
 from priors.geometry import invert, rays

@@ -36,7 +36,7 @@ class _Asked:
 
 
 class Field:
-    """Density and colour of places. For density alone (proposals), use `density` with `density_backward`."""
+    """Density and colour of places. For density alone: `density_forward`, `density_backward`."""
 
     def __init__(
         self,
@@ -80,17 +80,21 @@ class Field:
         d_features = self.network.shade_backward(asked.features, asked.harmonics, asked.ray, d_sigma, d_rgb)
         self.grid.backward(asked.u, asked.table, asked.footprint, d_features)
 
-    def density(self, u: Tensor, table: Tensor, footprint: Tensor | None = None, keep: bool = False) -> Tensor:
-        """Return density (m,), 1/m, at places u (m, 3) of tables (m,); `keep` to call `density_backward` next."""
+    def density(self, u: Tensor, table: Tensor, footprint: Tensor | None = None) -> Tensor:
+        """Return density (m,), 1/m, at places u (m, 3) of tables (m,), without learning."""
+        padded = self._padded(u, table, footprint)
+        return self.network.density(self.grid.encode(*padded))[: len(u)]
+
+    def density_forward(self, u: Tensor, table: Tensor, footprint: Tensor | None = None) -> Tensor:
+        """Return density (m,), 1/m, at places u (m, 3) of tables (m,), for `density_backward`."""
         count = len(u)
         u, table, footprint = self._padded(u, table, footprint)
         features = self.grid.encode(u, table, footprint)
-        if keep:
-            self._asked = _Asked(u, table, footprint, features, None, None, count)
+        self._asked = _Asked(u, table, footprint, features, None, None, count)
         return self.network.density(features)[:count]
 
     def density_backward(self, d_sigma: Tensor) -> None:
-        """Set all gradients from that of the last kept `density`, (m,)."""
+        """Set all gradients from that of the last `density_forward`, (m,)."""
         asked = self._last(d_sigma)
         d_features = self.network.density_backward(asked.features, _pad(d_sigma, len(asked.u)))
         self.grid.backward(asked.u, asked.table, asked.footprint, d_features)

@@ -15,14 +15,16 @@ prior's standard deviation (metres, max(sigma_floor_m, sigma_share * d)):
           (Rematas et al., CVPR 2022, eq. 6 to 9, targets in units of weight)
 """
 
+import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 from torch import Tensor
 
+from nerf.checks import expect
 from nerf.kernels import RenderKernels, kernels_for
-from nerf.types import Gradients, Rays, Rendered, Samples
+from nerf.types import Gradients, Rays, Rendered, Samples, Target
 
 DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
 
@@ -49,6 +51,16 @@ class LossConfig:
     """Weight of mip-NeRF 360's distortion loss."""
     opacity: float = 0.02
     """Weight of the light that passes rays where the prior has a surface."""
+
+    def __post_init__(self) -> None:
+        expect(self.loss in get_args(DepthLoss), "loss", self.loss, f"one of {', '.join(get_args(DepthLoss))}")
+        for name in ("depth_weight", "sigma_share", "distortion", "opacity"):
+            value = getattr(self, name)
+            expect(0 <= value < math.inf, name, value, "0 or more")
+        for name in ("unit_m", "sigma_floor_m"):
+            value = getattr(self, name)
+            expect(0 < value < math.inf, name, value, "more than 0 m")
+        expect(0 <= self.trim < 1, "trim", self.trim, "a share from 0 to less than 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +98,9 @@ def losses(
     weight = prior_weight(config, rays)
     if weight is not None and config.loss != "none":
         prior_m = torch.where(weight > 0, rays.depth_m, 0.0)  # type: ignore[arg-type]
-        term = _DepthTerm(config, samples, rays.norms, prior_m, sigma, rendered, kernels)
+        deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
+        target = Target(rays.norms, prior_m, deviation_m)
+        term = _DepthTerm(config, samples, target, sigma, rendered, kernels)
         terms["depth"] = _depth(term, weight, gradients)
     terms["opacity"] = _opacity(config, samples, weight, rendered, gradients)
     terms["distortion"] = _distortion(config, samples, rendered, gradients, kernels)
@@ -130,18 +144,16 @@ class _DepthTerm:
 
     config: LossConfig
     samples: Samples
-    norms: Tensor
-    prior_m: Tensor
+    target: Target
     sigma: Tensor
     rendered: Rendered
     kernels: RenderKernels
 
     def __call__(self, scale: Tensor, gradients: Gradients) -> Tensor:
-        config, prior_m, kernels = self.config, self.prior_m, self.kernels
-        deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
+        config, target, kernels = self.config, self.target, self.kernels
         if config.loss == "kl":
-            return kernels.kl(self.samples, self.sigma, self.norms, prior_m, deviation_m, scale, gradients.tau)
-        off = torch.where(prior_m > 0, self.rendered.depth_m - prior_m, 0.0) / config.unit_m
+            return kernels.kl(self.samples, self.sigma, target, scale, gradients.tau)
+        off = torch.where(target.prior_m > 0, self.rendered.depth_m - target.prior_m, 0.0) / config.unit_m
         if config.loss == "l1":
             gradients.depth_m.add_(scale * off.sign() / config.unit_m)
             return off.abs()
@@ -149,7 +161,7 @@ class _DepthTerm:
         if config.loss == "mse":
             return off * off
         weights, d_weights = self.rendered.weights, gradients.weights
-        return off * off + kernels.sight(self.samples, weights, self.norms, prior_m, deviation_m, scale, d_weights)
+        return off * off + kernels.sight(self.samples, weights, target, scale, d_weights)
 
 
 def _opacity(

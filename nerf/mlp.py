@@ -8,6 +8,7 @@ from torch import Tensor
 from nerf.harmonics import COUNT
 from nerf.kernels import FieldKernels
 from nerf.types import FEATURES, Layers
+from priors.errors import DataError
 
 GEOMETRY = 16
 """Outputs of the first network: the density's logit, and 15 numbers for the colour."""
@@ -24,9 +25,9 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         if self.width % 16 or not 16 <= self.width <= 128:
-            raise ValueError(f"expected a width of 16, 32, ..., 128, found {self.width}")
+            raise DataError(f"network: expected a width of 16, 32, ..., 128, found {self.width}")
         if not self.initial_density > 0:
-            raise ValueError(f"expected an initial density above 0, found {self.initial_density}")
+            raise DataError(f"network: expected an initial density above 0, found {self.initial_density}")
 
 
 class Network:

@@ -24,8 +24,9 @@ from eval.image import ImageScore, mean
 from eval.lpips import HOW_TO_GET, Lpips
 from eval.protocol import Protocol, ScoreError, preset
 from eval.result import Result, Row, score_frame
-from nerf.pictures import KEPT, Render, picture_path, save_error, save_view
+from nerf.pictures import KEPT, picture_path, save_error, save_view
 from nerf.scene import Scene
+from nerf.types import Render
 from priors import codecs
 from priors.errors import DataError
 from priors.methods.lidar import Lidar
@@ -151,15 +152,34 @@ class Truths:
         return Lidar(sweeps=1).resolve(frame)(frame)
 
 
+@dataclass(frozen=True)
+class Subject:
+    """What is scored."""
+
+    render: Render
+    """Renders the field."""
+    checkpoint: str
+    """What tells this field from others: a hash of its weights."""
+    info: dict[str, Any]
+    """What was run; see Report."""
+
+
+@dataclass(frozen=True)
+class Scoring:
+    """How it is scored."""
+
+    lpips: Lpips | None = None
+    """None leaves that figure out."""
+    protocol: str = "paper"
+    """A preset of eval.protocol for the depth."""
+
+
 def report(
     scene: Scene,
     truths: Truths,
-    render: Render,
+    subject: Subject,
     folder: Path,
-    checkpoint: str,
-    info: dict[str, Any],
-    lpips: Lpips | None = None,
-    protocol: str = "paper",
+    scoring: Scoring | None = None,
     on_frame: Step = lambda: None,
 ) -> Report:
     """Render and score the scene's held-out views, and write all files of a run's report.
@@ -169,12 +189,9 @@ def report(
     Args:
         scene: whose held-out frames are scored.
         truths: the drive's true depths.
-        render: the field.
+        subject: the field.
         folder: the run's folder.
-        checkpoint: what tells this field from others: a hash of its weights.
-        info: what was run; see Report.
-        lpips: None leaves that figure out.
-        protocol: a preset of eval.protocol for the depth.
+        scoring: how it is scored.
         on_frame: called after each frame.
 
     Raises:
@@ -182,27 +199,29 @@ def report(
     """
     if not scene.test:
         raise DataError(f"{scene.name}: none of the {len(scene.ids)} frames is held out: take 10 frames or more")
-    rules = replace(preset(protocol), truth=truths.label)
-    key = f"{checkpoint}/{rules.describe()}"
-    kept = _kept(folder / "renders", key)
+    scoring = scoring or Scoring()
+    lpips, renders = scoring.lpips, folder / "renders"
+    rules = replace(preset(scoring.protocol), truth=truths.label)
+    key = f"{subject.checkpoint}/{rules.describe()}"
+    scored = _kept(renders, key)
     frames = []
     for position in scene.test:
         id_, image = scene.ids[position], np.asarray(scene.images[position])
-        found = kept.get(id_)
-        if found is None:
-            found = _score(scene, position, truths(id_), render, folder / "renders", rules)
-        if lpips is not None and lpips.net not in found.image.lpips:
-            rgb = codecs.read_image(picture_path(folder / "renders", "rgb", id_))
-            found = replace(found, image=replace(found.image, lpips=found.image.lpips | {lpips.net: lpips(rgb, image)}))
-        if found is not kept.get(id_):
-            _keep(folder / "renders", key, found)
-        frames.append(found)
+        score = scored.get(id_)
+        if score is None:
+            score = _score(scene, position, truths(id_), subject.render, renders, rules)
+        if lpips is not None and lpips.net not in score.image.lpips:
+            rgb = codecs.read_image(picture_path(renders, "rgb", id_))
+            score = replace(score, image=replace(score.image, lpips=score.image.lpips | {lpips.net: lpips(rgb, image)}))
+        if score is not scored.get(id_):
+            _keep(renders, key, score)
+        frames.append(score)
         on_frame()
     lacking = () if lpips is not None or all(frame.image.lpips for frame in frames) else (HOW_TO_GET,)
     remarks = (*((truths.why_none,) if truths.why_none else ()), *lacking)
-    made = Report(rules, tuple(frames), info, remarks)
-    made.save(folder)
-    return made
+    result = Report(rules, tuple(frames), subject.info, remarks)
+    result.save(folder)
+    return result
 
 
 def _score(
@@ -229,23 +248,24 @@ def _score(
 def _kept(renders: Path, key: str) -> dict[str, FrameScore]:
     """Return the frames that were scored under this key and whose pictures are all there."""
     path = renders / "scores.jsonl"
-    found = {}
+    scored = {}
     for text in path.read_text().splitlines() if path.exists() else []:
         try:
             line = json.loads(text)
             if line["key"] == key:
-                found[line["frame"]] = _frame(line)
+                scored[line["frame"]] = _frame(line)
         except (ValueError, KeyError, TypeError):
             continue  # cut off by a kill
-    return {id_: frame for id_, frame in found.items() if all(picture_path(renders, k, id_).exists() for k in KEPT)}
+    return {id_: frame for id_, frame in scored.items() if all(picture_path(renders, k, id_).exists() for k in KEPT)}
 
 
 def _keep(renders: Path, key: str, frame: FrameScore) -> None:
     """Append a frame's line; on a line of its own even where the last one was cut off."""
     path = renders / "scores.jsonl"
-    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
+    cut_off = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
+    line = json.dumps({"key": key, **asdict(frame)}) + "\n"
     with path.open("a") as file:
-        file.write("\n" * (not whole) + json.dumps({"key": key, **asdict(frame)}) + "\n")
+        file.write("\n" + line if cut_off else line)
 
 
 def _frame(entry: dict[str, Any]) -> FrameScore:

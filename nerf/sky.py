@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from nerf.checks import expect
+
 
 @dataclass(frozen=True, slots=True)
 class SkyConfig:
@@ -12,6 +14,9 @@ class SkyConfig:
 
     sizes: tuple[int, ...] = (8, 32, 128)
     """Texels along a side of each: the coarse ones colour what the fine ones never saw."""
+
+    def __post_init__(self) -> None:
+        expect(bool(self.sizes) and min(self.sizes) >= 2, "sky sizes", self.sizes, "one or more, of 2 texels or more")
 
 
 class Sky:

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.image import as_uint8
-from nerf.pictures import Render
+from nerf.types import Render
 from priors.draw.colours import colour_depth
 from priors.errors import DataError
 from priors.types import Camera, Image

@@ -109,7 +109,7 @@ def test_density_alone_trains_and_equals_forward():
     field = trained()
     samples, units, d_sigma, d_rgb = made(300)
     sigma, _ = field.forward(samples, units)
-    assert torch.equal(field.density(samples.u, samples.table, keep=True), sigma)
+    assert torch.equal(field.density_forward(samples.u, samples.table), sigma)
     field.density_backward(d_sigma)
     found = field.grid.weights.grad.clone()
     field.forward(samples, units)
@@ -134,7 +134,7 @@ def test_backward_needs_its_forward():
     samples, _, d_sigma, d_rgb = made(64)
     with pytest.raises(RuntimeError, match="without the forward"):
         field.backward(d_sigma, d_rgb)
-    field.density(samples.u, samples.table, keep=True)
+    field.density_forward(samples.u, samples.table)
     with pytest.raises(RuntimeError, match="density_backward"):
         field.backward(d_sigma, d_rgb)
 
@@ -164,7 +164,7 @@ def fit(field, optimiser, steps):
         sigma, rgb = field.forward(samples, units)
         loss = ((rgb - target) ** 2).mean() + ((sigma - 1) ** 2).mean()
         field.backward(2 * (sigma - 1) / len(sigma), 2 * (rgb - target) / rgb.numel())
-        optimiser.step(0.1)
+        optimiser.step(OptimiserConfig(), 0.1)
     return float(loss)
 
 
@@ -172,7 +172,7 @@ def fit(field, optimiser, steps):
 def test_fits_and_resumes_bit_for_bit(copies):
     def start():
         field = Field(SMALL)
-        return field, Optimiser(OptimiserConfig(), field.parameters(), field.copies() if copies else None)
+        return field, Optimiser(field.parameters(), field.copies() if copies else None)
 
     field, optimiser = start()
     first = fit(field, optimiser, range(1))
@@ -206,11 +206,9 @@ def test_adam_is_torchs(kernels, count):
 
 
 def test_the_rate_rises_and_falls():
-    optimiser = Optimiser(OptimiserConfig(warm_up=10, final=0.1), {})
-    optimiser.steps = 5
-    assert optimiser.rate(0.0) == pytest.approx(0.5)
-    optimiser.steps = 10
-    rates = [optimiser.rate(progress) for progress in (0.0, 0.25, 0.5, 1.0, 2.0)]
+    config = OptimiserConfig(warm_up=10, final=0.1)
+    assert config.share(5, 0.0) == pytest.approx(0.5)
+    rates = [config.share(10, progress) for progress in (0.0, 0.25, 0.5, 1.0, 2.0)]
     assert rates[0] == pytest.approx(1) and rates[2] == pytest.approx(0.55)
     assert rates[3] == rates[4] == pytest.approx(0.1) and rates == sorted(rates, reverse=True)
 
@@ -248,10 +246,10 @@ def test_every_direction_has_texels_and_neighbours_share_them():
 
 def test_sky_learns_what_it_is_shown():
     sky = Sky(SkyConfig())
-    optimiser = Optimiser(OptimiserConfig(), {f"sky.{name}": tensor for name, tensor in sky.parameters().items()})
+    optimiser = Optimiser({f"sky.{name}": tensor for name, tensor in sky.parameters().items()})
     g = torch.Generator().manual_seed(0)
     for _ in range(150):
         units = torch.nn.functional.normalize(torch.randn(1024, 3, generator=g), dim=-1)
         sky.backward(2 * (sky.forward(units) - (0.5 + 0.4 * units)) / 1024)
-        optimiser.step(0.0)
+        optimiser.step(OptimiserConfig(), 0.0)
     assert (sky.forward(units) - (0.5 + 0.4 * units)).abs().mean() < 0.02

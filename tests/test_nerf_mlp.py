@@ -19,6 +19,7 @@ from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin
 from nerf.twin.field import LOGIT_MAX
 from nerf.types import Layers
+from priors.errors import DataError
 from priors.machine import threads
 
 INITIAL = 0.02
@@ -182,5 +183,5 @@ def test_new_networks_start_from_an_even_fog():
 
 @pytest.mark.parametrize("wrong", [{"width": 20}, {"width": 0}, {"width": 144}, {"initial_density": 0.0}])
 def test_wrong_sizes_are_told(wrong):
-    with pytest.raises(ValueError, match="expected"):
+    with pytest.raises(DataError, match="expected"):
         NetworkConfig(**wrong)

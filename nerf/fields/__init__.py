@@ -1,32 +1,28 @@
-"""The study's three families of fields, one file each: what differs is the space, the samplers and the extra losses."""
+"""Families of fields, one file each, and the folder is the registry: a new file is a new choice of --field.
+
+A family's file holds FAMILY, a nerf.model.Family. The study's three differ in the space, the samplers and the extra
+losses (nerf.volumetric.VolumetricFamily).
+"""
 
 import pkgutil
-from dataclasses import dataclass
 from importlib import import_module
 
-from nerf.space import Kind
-
-
-@dataclass(frozen=True)
-class Family:
-    """What makes a family; everything else is shared."""
-
-    space: Kind
-    """How the world is folded into the grid."""
-    proposals: tuple[int, ...] = ()
-    """Candidates per ray of each proposal round before the field's own samples; none: the occupancy grid alone."""
-    anti_aliased: bool = False
-    """Ask the grid for a sample's extent, not for a point: levels finer than a pixel's cone fade."""
-    distortion: float = 1.0
-    """How much more the distortion loss weighs than usual."""
+from nerf.model import Family
+from priors.errors import DataError
 
 
 def names() -> list[str]:
-    """List the families."""
-    return sorted(module.name for module in pkgutil.iter_modules(__path__))
+    """List the families, without importing them."""
+    return sorted(module.name for module in pkgutil.iter_modules(__path__) if not module.name.startswith("_"))
 
 
 def family(name: str) -> Family:
-    """Return a family by its file's name."""
-    found: Family = import_module(f"{__name__}.{name}").FAMILY
-    return found
+    """Return a family by its file's name.
+
+    Raises:
+        DataError: there is none of this name.
+    """
+    if name not in names():
+        raise DataError(f"field {name}: no such family: choose one of {', '.join(names())}")
+    chosen: Family = import_module(f"{__name__}.{name}").FAMILY
+    return chosen

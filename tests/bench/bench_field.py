@@ -72,12 +72,12 @@ def main() -> None:
     config = FieldConfig(network=NetworkConfig(width=args.width))
 
     field = Field(config)
-    optimiser = Optimiser(OptimiserConfig(), field.parameters(), field.copies())
+    optimiser = Optimiser(field.parameters(), field.copies())
 
     def ours() -> None:
         field.forward(samples, units)
         field.backward(d_sigma, d_rgb)
-        optimiser.step(0.5)
+        optimiser.step(OptimiserConfig(), 0.5)
 
     twin = Field(config)
     leaves = {name: tensor.requires_grad_() for name, tensor in twin.parameters().items()}
@@ -153,7 +153,7 @@ def parts(
         ),
         ("networks", lambda: network.shade(*shade), layers / flops, peak),
         ("networks, back", lambda: network.shade_backward(*shade, d_sigma, d_rgb), 3 * layers / flops, peak),
-        ("Adam", lambda: optimiser.step(0.5), traffic / bandwidth, stream),
+        ("Adam", lambda: optimiser.step(OptimiserConfig(), 0.5), traffic / bandwidth, stream),
     ]
     total, found = 0.0, {}
     for name, function, limit, what in rows:

@@ -42,7 +42,7 @@ class Step:
         gradients.rgb.copy_(rendered.rgb - 0.5)
         d_sigma, d_rgb, _ = self.kernels.render.backward(self.samples, sigma, rgb, self.sky, rendered, gradients)
         self.field.backward(d_sigma, d_rgb)
-        self.optimiser.step(0.5)
+        self.optimiser.step(OptimiserConfig(), 0.5)
 
 
 def prepare(device: torch.device, count: int, config: FieldConfig, kernels: Kernels) -> Step:
@@ -65,7 +65,7 @@ def prepare(device: torch.device, count: int, config: FieldConfig, kernels: Kern
         used=count,
     )
     field = Field(config, device, kernels=kernels.field)
-    optimiser = Optimiser(OptimiserConfig(), field.parameters(), field.copies(), kernels.field)
+    optimiser = Optimiser(field.parameters(), field.copies(), kernels.field)
     return Step(field, optimiser, samples, units.to(device), torch.full((rays, 3), 0.5, device=device), kernels)
 
 
@@ -88,7 +88,7 @@ def parts(step: Step) -> dict[str, Callable[[], Any]]:
         "render backward": lambda: painter.backward(samples, sigma, rgb, step.sky, made, gradients),
         "shade backward": lambda: fast.shade_backward(features, basis, samples.ray, layers, 0.02, sigma, rgb),
         "spread": lambda: fast.spread(samples.u, samples.table, None, features, config, spread),
-        "update": lambda: step.optimiser.step(0.5),
+        "update": lambda: step.optimiser.step(OptimiserConfig(), 0.5),
     }
 
 

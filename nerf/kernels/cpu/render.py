@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nerf.kernels.cpu import composite
-from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples
+from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples, Target
 from priors.machine import threads
 
 
@@ -36,28 +36,18 @@ def backward(
     return found
 
 
-def kl(
-    samples: Samples, sigma: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor, scale: Tensor, d_tau: Tensor
-) -> Tensor:
+def kl(samples: Samples, sigma: Tensor, target: Target, scale: Tensor, d_tau: Tensor) -> Tensor:
     """Return the KL loss (r,), add its gradient to d_tau (m,)."""
-    loss = torch.empty_like(prior_m)
-    arrays = (samples.offsets, sigma, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale)
+    loss = torch.empty_like(target.prior_m)
+    arrays = (samples.offsets, sigma, samples.dt_m, samples.t, *target, scale)
     _run(composite.kl, len(scale), arrays, (loss, d_tau))
     return loss
 
 
-def sight(
-    samples: Samples,
-    weights: Tensor,
-    norms: Tensor,
-    prior_m: Tensor,
-    deviation_m: Tensor,
-    scale: Tensor,
-    d_weights: Tensor,
-) -> Tensor:
+def sight(samples: Samples, weights: Tensor, target: Target, scale: Tensor, d_weights: Tensor) -> Tensor:
     """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
-    loss = torch.empty_like(prior_m)
-    arrays = (samples.offsets, weights, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale)
+    loss = torch.empty_like(target.prior_m)
+    arrays = (samples.offsets, weights, samples.dt_m, samples.t, *target, scale)
     _run(composite.sight, len(scale), arrays, (loss, d_weights))
     return loss
 

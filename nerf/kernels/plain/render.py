@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nerf.twin import render as twin
-from nerf.types import Gradients, Rendered, Samples
+from nerf.types import Gradients, Rendered, Samples, Target
 
 
 def forward(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
@@ -27,25 +27,15 @@ def backward(
     return found[0], found[1], found[2]
 
 
-def kl(
-    samples: Samples, sigma: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor, scale: Tensor, d_tau: Tensor
-) -> Tensor:
+def kl(samples: Samples, sigma: Tensor, target: Target, scale: Tensor, d_tau: Tensor) -> Tensor:
     """Return the KL loss (r,), add its gradient to d_tau (m,)."""
     tau = sigma * samples.dt_m
-    return _differentiate(lambda x: twin.kl_of_tau(samples, x, norms, prior_m, deviation_m), tau, scale, d_tau)
+    return _differentiate(lambda x: twin.kl_of_tau(samples, x, target), tau, scale, d_tau)
 
 
-def sight(
-    samples: Samples,
-    weights: Tensor,
-    norms: Tensor,
-    prior_m: Tensor,
-    deviation_m: Tensor,
-    scale: Tensor,
-    d_weights: Tensor,
-) -> Tensor:
+def sight(samples: Samples, weights: Tensor, target: Target, scale: Tensor, d_weights: Tensor) -> Tensor:
     """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
-    return _differentiate(lambda x: twin.sight(samples, x, norms, prior_m, deviation_m), weights, scale, d_weights)
+    return _differentiate(lambda x: twin.sight(samples, x, target), weights, scale, d_weights)
 
 
 def distortion(samples: Samples, weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:

@@ -1,9 +1,10 @@
 """The renderer on GPUs: tensors to the Triton kernels and back; nothing waits for the device."""
 
+import torch
 from torch import Tensor
 
 from nerf.kernels.triton import composite
-from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples
+from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples, Target
 
 _RAYS = 32
 """Rays a program: one a thread of its one warp."""
@@ -31,29 +32,17 @@ def backward(
     return d_sigma, d_rgb, d_sky
 
 
-def kl(
-    samples: Samples, sigma: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor, scale: Tensor, d_tau: Tensor
-) -> Tensor:
+def kl(samples: Samples, sigma: Tensor, target: Target, scale: Tensor, d_tau: Tensor) -> Tensor:
     """Return the KL loss (r,), add its gradient to d_tau (m,)."""
-    loss = prior_m.new_empty(prior_m.shape)
-    rays = [norms, prior_m, deviation_m, scale]
-    _launch(composite.kl, [samples.offsets, sigma, samples.dt_m, samples.t, *rays], [loss, d_tau])
+    loss = torch.empty_like(target.prior_m)
+    _launch(composite.kl, [samples.offsets, sigma, samples.dt_m, samples.t, *target, scale], [loss, d_tau])
     return loss
 
 
-def sight(
-    samples: Samples,
-    weights: Tensor,
-    norms: Tensor,
-    prior_m: Tensor,
-    deviation_m: Tensor,
-    scale: Tensor,
-    d_weights: Tensor,
-) -> Tensor:
+def sight(samples: Samples, weights: Tensor, target: Target, scale: Tensor, d_weights: Tensor) -> Tensor:
     """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
-    loss = prior_m.new_empty(prior_m.shape)
-    rays = [norms, prior_m, deviation_m, scale]
-    _launch(composite.sight, [samples.offsets, weights, samples.dt_m, samples.t, *rays], [loss, d_weights])
+    loss = torch.empty_like(target.prior_m)
+    _launch(composite.sight, [samples.offsets, weights, samples.dt_m, samples.t, *target, scale], [loss, d_weights])
     return loss
 
 
