@@ -38,8 +38,8 @@ def run(arguments: list[str]) -> int:
 
 
 def _export(args: ExportArguments) -> int:
-    made = args.open()
-    views, model = made.viewpoints(args.frames), made.open_model(args.device)
+    this_run = args.open()
+    views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     path = args.out or args.run / f"{args.kind}.ply"
     write = write_cloud if args.kind == "cloud" else write_mesh
     with progress(args.kind, len(views.ids)) as step:

@@ -81,22 +81,23 @@ def run(arguments: list[str]) -> int:
 
 
 def _fit(args: FitArguments) -> int:
+    config, scene = args.config(), SceneConfig(args.views, args.frames, args.filters)
+    drive = args.open()
     prior = None if args.prior is None else cache.only(args.prior)
-    scene = SceneConfig(args.views, args.frames, args.filters)
-    made = begin(args.open(), prior, scene, args.config(), args.run, progress)
-    if len(made.scene.train) == 1:
+    this_run = begin(drive, prior, scene, config, args.run, progress)
+    if len(this_run.scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
-    before = checkpoint.spent(made.folder)
-    with fit_progress(made.name) as on_step:
-        made.fit(args.device, on_step)
-    if before.step == checkpoint.spent(made.folder).step:
+    before = checkpoint.spent(this_run.folder)
+    with fit_progress(this_run.name) as on_step:
+        this_run.fit(args.device, on_step)
+    if before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
-    if made.scene.test:
-        print_table([made.report(args.device, args.lpips.open())])
+    if this_run.scene.test:
+        print_table([this_run.report(args.device, args.lpips.open())])
     else:
-        count = len(made.scene.ids)
+        count = len(this_run.scene.ids)
         out.print(f"none of the {count} frames is held out (the 10th, 20th, ... are): nothing to score")
-    out.print(f"wrote {made.folder}")
+    out.print(f"wrote {this_run.folder}")
     return 0
 
 

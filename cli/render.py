@@ -34,11 +34,11 @@ def run(arguments: list[str]) -> int:
 
 
 def _render(args: RenderArguments) -> int:
-    made = args.open()
-    views = made.viewpoints(args.frames)
+    this_run = args.open()
+    views = this_run.viewpoints(args.frames)
     if args.poses is not None:
         views = read_poses(args.poses, views.camera)
     folder = args.out or args.run / "views"
-    made.render(views, folder, args.device)
+    this_run.render(views, folder, args.device)
     out.print(f"wrote {len(views.ids)} views to {folder}")
     return 0

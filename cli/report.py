@@ -11,9 +11,10 @@ from cli.arguments import Device, ThreadArguments, parse
 from cli.console import out, progress
 from eval import lpips, sheet
 from nerf.pictures import compare, load_view
-from nerf.report import Report, Truths
+from nerf.report import Report
 from nerf.run import Run, open_run
 from nerf.study_table import COLUMNS
+from nerf.truths import Truths
 from priors import codecs
 from priors.errors import DataError
 

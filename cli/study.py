@@ -95,9 +95,9 @@ def run(arguments: list[str]) -> int:
 
 
 def _make(args: StudyArguments, command: str) -> int:
-    drive, grid = args.open(), args.grid()
     timed = None if args.steps is not None else seconds(args.time)
     fit = FitConfig(losses=args.losses, steps=args.steps, seconds=timed)
+    drive, grid = args.open(), args.grid()
 
     def command_of(spec: RunSpec, folder: Path) -> str:
         return _command(args, spec, folder)

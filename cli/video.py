@@ -35,8 +35,8 @@ def run(arguments: list[str]) -> int:
 
 
 def _write(args: VideoArguments) -> int:
-    made = args.open()
-    views, model = made.viewpoints(args.frames), made.open_model(args.device)
+    this_run = args.open()
+    views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     path = args.out or args.run / "video.mp4"
     with progress("video", args.video.steps * (len(views.ids) - 1) + 1) as step:
         write_video(path, model.render, views.camera, views.T_world_cam, args.video, step)

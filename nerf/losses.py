@@ -121,8 +121,8 @@ def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:
 def _depth(term: "_DepthTerm", weight: Tensor, gradients: Gradients) -> Tensor:
     """Reduce the depth loss and add its gradients."""
     if term.config.trim > 0:
-        found = term(torch.zeros_like(weight), Gradients.zeros(term.rendered))
-        weight = trimmed(weight, found, term.config.trim)
+        values = term(torch.zeros_like(weight), Gradients.zeros(term.rendered))
+        weight = trimmed(weight, values, term.config.trim)
     share = weight / weight.sum().clamp(min=1e-12)
     return (share * term(term.config.depth_weight * share, gradients)).sum()
 
@@ -172,8 +172,8 @@ def _opacity(
     A ray counts as much as its prior does, so that a guess in the sky does not make it solid; one without samples
     cannot stop anything and does not count. The mean is over the rays that count.
     """
-    asked = samples.offsets[1:] > samples.offsets[:-1]
-    stops = asked.float() if weight is None else asked * weight
+    has_samples = samples.offsets[1:] > samples.offsets[:-1]
+    stops = has_samples.float() if weight is None else has_samples * weight
     share = stops / (stops > 0).sum().clamp(min=1)
     gradients.transmittance.add_(config.opacity * share)
     return (share * rendered.transmittance).sum()
@@ -185,8 +185,8 @@ def _distortion(
     """Reduce the distortion: the mean over the rays."""
     rays = len(samples.offsets) - 1
     scale = torch.full((rays,), config.distortion / max(1, rays), device=rendered.rgb.device)
-    found = kernels.distortion(samples, rendered.weights, scale, gradients.weights)
-    return found.sum() / max(1, rays)
+    values = kernels.distortion(samples, rendered.weights, scale, gradients.weights)
+    return values.sum() / max(1, rays)
 
 
 def interlevel(
@@ -201,5 +201,5 @@ def interlevel(
     device = rendered.rgb.device
     scale = torch.full((rays,), 1 / max(1, rays), device=device)
     kernels = kernels_for(device).render
-    found, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
-    return found.sum() / max(1, rays), gradient
+    values, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
+    return values.sum() / max(1, rays), gradient

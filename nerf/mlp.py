@@ -15,7 +15,7 @@ GEOMETRY = 16
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkConfig:
+class MLPConfig:
     """The size of the two networks and the density they start from."""
 
     width: int = 64
@@ -30,12 +30,12 @@ class NetworkConfig:
             raise DataError(f"network: expected an initial density above 0, found {self.initial_density}")
 
 
-class Network:
+class MLP:
     """Both networks: their float32 weights with gradients, forward and backward."""
 
     def __init__(
         self,
-        config: NetworkConfig,
+        config: MLPConfig,
         levels: int,
         device: torch.device,
         generator: torch.Generator,
@@ -67,8 +67,8 @@ class Network:
     ) -> Tensor:
         """Set the layers' gradients and return the features', (levels, m, 2)."""
         initial = self.config.initial_density
-        found = self._kernels.shade_backward(features, harmonics, ray, self.layers, initial, d_sigma, d_rgb)
-        return self._keep(*found)
+        forward = features, harmonics, ray, self.layers, initial
+        return self._keep(*self._kernels.shade_backward(*forward, d_sigma, d_rgb))
 
     def _keep(self, d_features: Tensor, gradients: Layers) -> Tensor:
         for layer, gradient in zip(self.layers, gradients, strict=True):

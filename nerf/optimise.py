@@ -8,6 +8,7 @@ from torch import Tensor
 
 from nerf.checks import expect
 from nerf.kernels import FieldKernels, kernels_for
+from nerf.state import copy_into
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,12 +85,7 @@ class Optimiser:
         return {"steps": torch.tensor(self.steps), **means, **squares}
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Go on from a saved state, bit for bit."""
-        for name, tensor in self.state().items():
-            if name not in state or state[name].shape != tensor.shape:
-                found = tuple(state[name].shape) if name in state else "none"
-                raise ValueError(f"optimiser: expected {name} of shape {tuple(tensor.shape)}, found {found}")
-        self.steps = int(state["steps"])
-        for name in self._parameters:
-            self._mean[name].copy_(state[f"{name}.mean"])
-            self._square[name].copy_(state[f"{name}.square"])
+        """Go on from a saved state, bit for bit; ValueError where it is of other parameters."""
+        own = self.state()
+        copy_into(own, state)
+        self.steps = int(own["steps"])

@@ -12,7 +12,7 @@ from torch import Tensor
 from nerf.field import Field, FieldConfig
 from nerf.kernels import kernels_for
 from nerf.losses import interlevel
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.sample import Sampler, SamplerConfig, guidable
 from nerf.types import Gradients, GridConfig, Histogram, Key, Rays, Rendered, Samples
 
@@ -38,10 +38,15 @@ class Round:
 class Proposals:
     """The proposals of a model, near to the last: none for a family that needs none."""
 
-    def __init__(self, counts: tuple[int, ...], sampler: Sampler, device: torch.device, seed: int) -> None:
-        """Make a small field for each of `counts`, its number of candidates a ray; their seeds count up."""
-        config = FieldConfig(replace(PROPOSAL_GRID, tables=sampler.space.tables), NetworkConfig(width=PROPOSAL_WIDTH))
-        self.counts, self.sampler = counts, sampler
+    def __init__(
+        self, counts: tuple[int, ...], sampler: Sampler, device: torch.device, seed: int, anti_aliased: bool
+    ) -> None:
+        """Make a small field for each of `counts`, its number of candidates a ray; their seeds count up.
+
+        `anti_aliased`: they are asked for the samples' extents, not for points.
+        """
+        config = FieldConfig(replace(PROPOSAL_GRID, tables=sampler.space.tables), MLPConfig(width=PROPOSAL_WIDTH))
+        self.counts, self.sampler, self.anti_aliased = counts, sampler, anti_aliased
         self.fields = [Field(config, device, seed + i) for i in range(len(counts))]
         self._renderer = kernels_for(device).render
 
@@ -50,7 +55,7 @@ class Proposals:
         return {f"proposal{i}": proposal for i, proposal in enumerate(self.fields)}
 
     def sample(
-        self, rays: Rays, config: SamplerConfig, key: Key | None, progress: float, extents: bool
+        self, rays: Rays, config: SamplerConfig, key: Key | None, progress: float
     ) -> tuple[Samples, list[Round]]:
         """Sample rays in rounds; returns the last samples, and the rounds before them.
 
@@ -59,14 +64,14 @@ class Proposals:
             config: how many samples the last ones are, and how the prior guides.
             key: seed and step; None: rendering, the prior guides nothing.
             progress: of the fit, [0, 1]: early on the proposals' weights are flattened.
-            extents: ask the proposals for the samples' extents, not for points.
         """
         share = min(1.0, progress / ANNEAL_SHARE)
         anneal = ANNEAL_SLOPE * share / ((ANNEAL_SLOPE - 1) * share + 1)
         rounds: list[Round] = []
         samples = self.sampler.march(rays, self.counts[0], key)
         for proposal, count in zip(self.fields, [*self.counts[1:], config.count], strict=True):
-            footprint = self.sampler.space.footprint(samples, rays.pixel) if extents and rays.pixel else None
+            cones = self.anti_aliased and rays.pixel
+            footprint = self.sampler.space.footprint(samples, rays.pixel) if cones else None
             sigma = proposal.density_forward(samples.u, samples.table, footprint)
             rendered = self._renderer.forward(samples, sigma, *_colourless(sigma, len(rays)))
             rounds.append(Round(samples, sigma, rendered))

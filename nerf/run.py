@@ -19,8 +19,9 @@ from nerf.fit import OnStep, fit
 from nerf.model import Model
 from nerf.pictures import save_view
 from nerf.prepare import ProgressBar, SceneConfig, open_scene, silent
-from nerf.report import Report, Scoring, Subject, Truths, report
+from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
+from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
 from priors import cache, codecs
 from priors.cache import Prior
@@ -111,10 +112,9 @@ class Run:
             lpips: None leaves that figure out.
             info: what the report says was run; default: what a study wrote of this run, else its name and config.
         """
-        told = info or self._info()
         model = self.open_model(device)
         truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
-        subject = Subject(model.render, checkpoint.digest(self.folder), told)
+        subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
         with threads.limited(None), self.progress(f"views of {self.name}", len(self.scene.test)) as step:
             return report(self.scene, truths, subject, self.folder, Scoring(lpips), step)
 
@@ -173,7 +173,7 @@ def begin(
     return replace(claim(folder, RunConfig.of(drive, prior, scene, fit)), progress=progress, source=drive)
 
 
-def claim(folder: Path, config: RunConfig, same_budget: bool = False) -> Run:
+def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     """Begin a run in a folder, or go on with the same one; DataError where another run was trained in it.
 
     A run that had another budget goes on as well, at the new budget's learning rate; with `same_budget` it is begun

@@ -63,8 +63,8 @@ class Scene:
         for position in self.train:
             thinned = slice(position % stride, None, stride)
             depth_m = self.depth_m[position].reshape(-1)[thinned]
-            known = (depth_m > 0) & np.isfinite(depth_m)
-            camera = directions.reshape(-1, 3)[thinned][known] * depth_m[known, None]
+            valid = (depth_m > 0) & np.isfinite(depth_m)
+            camera = directions.reshape(-1, 3)[thinned][valid] * depth_m[valid, None]
             pose = self.T_world_cam[position]
             clouds.append((camera @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
         return np.concatenate(clouds)

@@ -46,12 +46,6 @@ class Sky:
         """Return the trainable tensors by name; a backward pass sets their `.grad`."""
         return {"texels": self.texels}
 
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Take over another sky's texels."""
-        if state["texels"].shape != self.texels.shape:
-            raise ValueError(f"sky: expected {tuple(self.texels.shape)} texels, found {tuple(state['texels'].shape)}")
-        self.texels.copy_(state["texels"])
-
 
 def corners(units: Tensor, sizes: tuple[int, ...]) -> tuple[Tensor, Tensor]:
     """Return the rows (r, 4 n) and shares (r, 4 n) of the texels that a direction (r, 3) lies between in n pictures.

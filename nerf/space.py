@@ -16,13 +16,13 @@ import torch
 from torch import Tensor
 
 from nerf.twin import space as twin
-from nerf.types import Rays, Samples, Spacing
+from nerf.types import BALL, BOX, SPHERES, Rays, Samples, Spacing
 
 Kind: TypeAlias = Literal["box", "ball", "spheres"]
 Triple: TypeAlias = tuple[float, float, float]
 Points = npt.NDArray[np.floating[Any]]
 
-CODES: dict[str, int] = {"box": twin.BOX, "ball": twin.BALL, "spheres": twin.SPHERES}
+CODES: dict[str, int] = {"box": BOX, "ball": BALL, "spheres": SPHERES}
 NEAR_M, FAR_M = 0.5, 250.0
 """Depths in which surfaces are looked for where no prior tells, metres."""
 AROUND_PATH_M = {"box": 64.0, "ball": 16.0, "spheres": 16.0}
@@ -181,13 +181,13 @@ def _axes(positions_m: Points, points_m: Points) -> npt.NDArray[np.float64]:
     elif path_spread[0] < 1:
         return np.eye(3)
     if path_spread[0] / np.sqrt(len(positions_m)) < 1:
-        found = np.linalg.eigh(spread)[1].T
+        axes = np.linalg.eigh(spread)[1].T
     else:
         # Across the path: the directions in which the points are spread most and least.
         across = np.eye(3) - np.outer(path[0], path[0])
-        found = np.linalg.eigh(across @ (spread + 1e-6 * np.diag([1.0, 2.0, 3.0])) @ across)[1].T
-        found[0] = path[0]
-    return _nearest_order(found)
+        axes = np.linalg.eigh(across @ (spread + 1e-6 * np.diag([1.0, 2.0, 3.0])) @ across)[1].T
+        axes[0] = path[0]
+    return _nearest_order(axes)
 
 
 def _nearest_order(axes: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

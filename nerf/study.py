@@ -122,8 +122,8 @@ class Study:
             raise DataError(f"study: two priors are named {min(twice)}: a study is of one drive")
         choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
         grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
-        made = (RunSpec(*choice) for choice in grid)
-        return list(dict.fromkeys(_without_prior(spec) if spec.prior == NONE else spec for spec in made))
+        specs = (RunSpec(*choice) for choice in grid)
+        return list(dict.fromkeys(_without_prior(spec) if spec.prior == NONE else spec for spec in specs))
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ def run_study(
         spec_record = asdict(spec) | {"prior": spec.prior_name}  # a cache may move: the name holds the prior's key
         config = json.loads(json.dumps({"spec": spec_record, **settings}, allow_nan=False))
         done = _done(folder / spec.name, config)
-        outcome = Outcome(spec, done, fresh=False) if done else _made(spec, folder / spec.name, config, run)
+        outcome = Outcome(spec, done, fresh=False) if done else _outcome(spec, folder / spec.name, config, run)
         outcomes.append(outcome)
         on_run(outcome)
     return outcomes
@@ -229,7 +229,7 @@ def _done(folder: Path, config: dict[str, Any]) -> Report | None:
     return report if report.info.get("config") == config else None
 
 
-def _made(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:
+def _outcome(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:
     """Make a run; what a user can mend is told, anything else is raised."""
     try:
         report = run(spec, folder, config)

@@ -16,6 +16,8 @@ from torch import Tensor
 from priors.errors import DataError
 from priors.types import Camera, Depth, FloatMap, Matrix
 
+BOX, BALL, SPHERES = 0, 1, 2
+"""The kinds of a space as the kernels know them: nerf.space."""
 FEATURES = 2
 """Features of a grid's row: two bfloat16 are one 32-bit word in the kernels."""
 HASH_PRIME_Y, HASH_PRIME_Z = 2654435761, 805459861
@@ -202,7 +204,7 @@ class Course:
     slots: int
     """Columns that hold any ray's candidates."""
     kind: int
-    """The space's code: nerf.twin.space."""
+    """The space's kind: BOX, BALL or SPHERES."""
 
 
 @dataclass(frozen=True, slots=True)

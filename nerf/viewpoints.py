@@ -24,8 +24,8 @@ class Viewpoints:
 
 def along(drive: Drive, frames: str | None = None) -> Viewpoints:
     """Return where a drive's camera was, in a range of frames a:b; None: all of them."""
-    chosen = [drive[position] for position in select(drive.ids, frames)]
-    return Viewpoints(chosen[0].camera, [frame.id for frame in chosen], np.array([f.T_world_cam for f in chosen]))
+    posed = [drive[position] for position in select(drive.ids, frames)]
+    return Viewpoints(posed[0].camera, [frame.id for frame in posed], np.array([f.T_world_cam for f in posed]))
 
 
 def read_poses(path: Path, camera: Camera) -> Viewpoints:

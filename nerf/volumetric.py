@@ -15,7 +15,7 @@ from nerf.config import FitConfig, ModelConfig
 from nerf.field import Field, FieldConfig
 from nerf.kernels import kernels_for
 from nerf.losses import LossConfig, Losses, losses
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.model import StepResult
 from nerf.occupancy import Occupancy
 from nerf.optimise import Optimiser
@@ -24,6 +24,7 @@ from nerf.sample import Sampler
 from nerf.scene import Scene, view_rays
 from nerf.sky import Sky, SkyConfig
 from nerf.space import Kind, Space
+from nerf.state import copy_into, joined, under
 from nerf.types import GridConfig, Key, Rays, Rendered, RenderedView, Samples
 from priors.machine import threads
 from priors.types import Camera, Matrix
@@ -75,10 +76,10 @@ class VolumetricModel:
         self.config, self.family, self.occupancy = config, family, occupancy
         self.space, self.device = occupancy.space, occupancy.kept.device
         grid = GridConfig(log2_size=config.log2_size, finest=config.finest, tables=self.space.tables)
-        self.field = Field(FieldConfig(grid, NetworkConfig(width=config.width)), self.device, seed)
+        self.field = Field(FieldConfig(grid, MLPConfig(width=config.width)), self.device, seed)
         self.sky = Sky(SkyConfig(), self.device)
         self.sampler = Sampler(self.space, occupancy)
-        self.proposals = Proposals(family.proposals, self.sampler, self.device, seed + 1)
+        self.proposals = Proposals(family.proposals, self.sampler, self.device, seed + 1, family.anti_aliased)
         self._renderer = kernels_for(self.device).render
         self._optimiser = Optimiser(self.parameters(), self._copies())
 
@@ -87,11 +88,11 @@ class VolumetricModel:
         key = config.seed, step
         rays = scene.draw(config.rays, *key).to(self.device)
         rules = replace(config.losses, distortion=config.losses.distortion * self.family.distortion)
-        found = self.backward(rays, rules, key, progress)
+        batch = self.backward(rays, rules, key, progress)
         self._optimiser.step(config.optimiser, progress)
         if step % OCCUPANCY_EVERY == 0:
             self.occupancy.update(self.field.density, key)
-        return StepResult(found.terms, found.total, len(rays), found.samples)
+        return StepResult(batch.terms, batch.total, len(rays), batch.samples)
 
     def backward(self, rays: Rays, config: LossConfig, key: Key, progress: float) -> Losses:
         """Go forward and back with a batch; gradients are left in the parameters' `.grad`."""
@@ -100,14 +101,14 @@ class VolumetricModel:
         sigma, rgb = self.field.forward(samples, units, self._footprint(rays, samples))
         sky = self.sky.forward(units)
         rendered = self._renderer.forward(samples, sigma, rgb, sky)
-        found = losses(config, samples, rays, sigma, rendered)
-        d_sigma, d_rgb, d_sky = self._renderer.backward(samples, sigma, rgb, sky, rendered, found.gradients)
+        batch = losses(config, samples, rays, sigma, rendered)
+        d_sigma, d_rgb, d_sky = self._renderer.backward(samples, sigma, rgb, sky, rendered, batch.gradients)
         self.field.backward(d_sigma, d_rgb)
         self.sky.backward(d_sky)
         if rounds:
-            found.terms["interlevel"] = self.proposals.backward(rounds, samples, rendered)
+            batch.terms["interlevel"] = self.proposals.backward(rounds, samples, rendered)
         self.occupancy.observe(samples, sigma)
-        return found
+        return batch
 
     @threads.quiet()
     def render(self, T_world_cam: Matrix, camera: Camera) -> RenderedView:
@@ -134,23 +135,18 @@ class VolumetricModel:
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name."""
         parts: dict[str, Field | Sky] = {"field": self.field, "sky": self.sky, **self.proposals.named()}
-        return {f"{part}.{name}": tensor for part, made in parts.items() for name, tensor in made.parameters().items()}
+        return joined({name: part.parameters() for name, part in parts.items()})
 
     def state(self) -> dict[str, Tensor]:
         """Return every tensor that a checkpoint keeps, by name."""
-        parts = {"model": self.parameters(), "occupancy": self.occupancy.state(), "optimiser": self._optimiser.state()}
-        return {f"{part}.{name}": tensor for part, state in parts.items() for name, tensor in state.items()}
+        own, occupancy, optimiser = self.parameters(), self.occupancy.state(), self._optimiser.state()
+        return joined({"model": own, "occupancy": occupancy, "optimiser": optimiser})
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Take over a saved state; ValueError where it is of a model of other settings."""
-        for name, tensor in self.state().items():
-            if name not in state or state[name].shape != tensor.shape:
-                found = tuple(state[name].shape) if name in state else "none"
-                raise ValueError(f"expected {name} of shape {tuple(tensor.shape)}, found {found}")
-        for name, tensor in self.parameters().items():
-            tensor.copy_(state[f"model.{name}"])
-        self.occupancy.load(_under("occupancy.", state))
-        self._optimiser.load(_under("optimiser.", state))
+        copy_into(self.parameters(), under("model", state))
+        self.occupancy.load(under("occupancy", state))
+        self._optimiser.load(under("optimiser", state))
 
     def record(self) -> dict[str, Any]:
         """Return the space: with config and state it makes the model again."""
@@ -158,16 +154,14 @@ class VolumetricModel:
 
     def _copies(self) -> dict[str, Tensor]:
         """Return the rounded copies of parameters that the kernels read, by the parameters' names."""
-        parts = {"field": self.field, **self.proposals.named()}
-        return {f"{part}.{name}": tensor for part, made in parts.items() for name, tensor in made.copies().items()}
+        return joined({name: part.copies() for name, part in {"field": self.field, **self.proposals.named()}.items()})
 
     def _sample(self, rays: Rays, key: Key | None, progress: float) -> tuple[Samples, list[Round]]:
         """Sample rays; with the proposal rounds that led there, near to far."""
         config = self.config.sampler
         rays = self._trusted(rays)
         if self.family.proposals:
-            extents = self.family.anti_aliased
-            return self.proposals.sample(rays, config, key, progress, extents)
+            return self.proposals.sample(rays, config, key, progress)
         if config.guide and rays.depth_m is not None:
             return self.sampler.guided(rays, config, key), []
         return self.sampler.march(rays, config.free, key), []
@@ -186,10 +180,6 @@ class VolumetricModel:
 def _part(rays: Rays, first: int) -> Rays:
     piece = slice(first, first + RENDER_RAYS)
     return Rays(rays.origins_m[piece], rays.directions[piece], pixel=rays.pixel)
-
-
-def _under(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}
 
 
 def _tuples(value: Any) -> Any:

@@ -9,14 +9,15 @@ from nerf.field import Field, FieldConfig
 from nerf.harmonics import harmonics
 from nerf.kernels.cpu import field as cpu
 from nerf.kernels.plain import field as plain
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.sky import Sky, SkyConfig, corners
+from nerf.state import copy_into
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
 from nerf.types import GridConfig, Layers, Samples
 
-SMALL = FieldConfig(GridConfig(levels=6, log2_size=12, coarsest=4, finest=128, tables=2), NetworkConfig(width=32))
+SMALL = FieldConfig(GridConfig(levels=6, log2_size=12, coarsest=4, finest=128, tables=2), MLPConfig(width=32))
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +68,7 @@ def test_all_gradients_equal_the_twins(count, footprint):
     features = twin_encode.encode(samples.u, samples.table, footprint, stored, SMALL.grid)
     layers = Layers(*(tensor for name, tensor in leaves.items() if name != "grid"))
     basis = harmonics(units).double()
-    outputs = twin_field.shade(features, basis, samples.ray, layers, SMALL.network.initial_density, half=True)
+    outputs = twin_field.shade(features, basis, samples.ray, layers, SMALL.mlp.initial_density, half=True)
     torch.autograd.backward(outputs, (d_sigma.double(), d_rgb.double()))
 
     def far(found, wanted):
@@ -143,15 +144,15 @@ def test_a_loaded_field_is_the_same_and_another_shape_is_told():
     field, other = trained(), Field(SMALL, seed=9)
     samples, units, *_ = made(64)
     other.forward(samples, units)
-    other.load({name: tensor.clone() for name, tensor in field.state().items()})
+    copy_into(other.parameters(), {name: tensor.clone() for name, tensor in field.parameters().items()})
     assert torch.equal(other.forward(samples, units)[0], field.forward(samples, units)[0])
     with pytest.raises(ValueError, match=r"expected grid of shape"):
-        Field(FieldConfig(network=NetworkConfig(width=32))).load(field.state())
+        copy_into(Field(FieldConfig(mlp=MLPConfig(width=32))).parameters(), field.parameters())
 
 
 def test_same_seed_same_field():
     one, same, other = Field(SMALL, seed=1), Field(SMALL, seed=1), Field(SMALL, seed=2)
-    assert all(torch.equal(a, b) for a, b in zip(one.state().values(), same.state().values(), strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(one.parameters().values(), same.parameters().values(), strict=True))
     assert not torch.equal(one.grid.weights, other.grid.weights)
 
 
@@ -177,14 +178,14 @@ def test_fits_and_resumes_bit_for_bit(copies):
     field, optimiser = start()
     first = fit(field, optimiser, range(1))
     assert fit(field, optimiser, range(149)) < 0.3 * first
-    saved = {name: tensor.clone() for name, tensor in {**field.state(), **optimiser.state()}.items()}
+    saved = {name: tensor.clone() for name, tensor in {**field.parameters(), **optimiser.state()}.items()}
     fit(field, optimiser, range(5))
     other, another = start()
-    other.load(saved)
+    copy_into(other.parameters(), saved)
     another.load(saved)
     fit(other, another, range(5))
-    for name, tensor in {**field.state(), **optimiser.state()}.items():
-        assert torch.equal({**other.state(), **another.state()}[name], tensor), name
+    for name, tensor in {**field.parameters(), **optimiser.state()}.items():
+        assert torch.equal({**other.parameters(), **another.state()}[name], tensor), name
 
 
 @pytest.mark.parametrize("kernels", [cpu, plain])

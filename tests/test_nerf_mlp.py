@@ -14,7 +14,7 @@ from scipy.special import sph_harm_y
 from nerf.harmonics import harmonics
 from nerf.kernels.cpu import field as cpu
 from nerf.kernels.plain import field as plain
-from nerf.mlp import Network, NetworkConfig
+from nerf.mlp import MLP, MLPConfig
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin
 from nerf.twin.field import LOGIT_MAX
@@ -176,7 +176,7 @@ def test_harmonics_are_scipys():
 
 
 def test_new_networks_start_from_an_even_fog():
-    network = Network(NetworkConfig(), 16, torch.device("cpu"), torch.Generator().manual_seed(0), cpu)
+    network = MLP(MLPConfig(), 16, torch.device("cpu"), torch.Generator().manual_seed(0), cpu)
     sigma = network.density(torch.full((16, 64, 2), 1e-4, dtype=torch.bfloat16))
     assert torch.allclose(sigma, torch.tensor(INITIAL), rtol=0.01)
 
@@ -184,4 +184,4 @@ def test_new_networks_start_from_an_even_fog():
 @pytest.mark.parametrize("wrong", [{"width": 20}, {"width": 0}, {"width": 144}, {"initial_density": 0.0}])
 def test_wrong_sizes_are_told(wrong):
     with pytest.raises(DataError, match="expected"):
-        NetworkConfig(**wrong)
+        MLPConfig(**wrong)

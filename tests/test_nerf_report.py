@@ -10,8 +10,9 @@ import pytest
 from eval.lpips import Lpips
 from eval.result import Result
 from nerf.pictures import KEPT, picture_path
-from nerf.report import Report, Scoring, Subject, Truths, report
+from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
+from nerf.truths import Truths
 from nerf.types import RenderedView
 from priors import codecs
 from priors.errors import DataError

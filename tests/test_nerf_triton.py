@@ -87,7 +87,7 @@ def test_the_field_compiles(made: list[tuple[str, Any]]) -> None:
     from nerf.kernels.triton import field
 
     config = GridConfig(levels=16, log2_size=10, tables=2)
-    m = field.BLOCK
+    m = field.SAMPLES_MULTIPLE
     u, table, footprint = torch.rand(m, 3), torch.zeros(m, dtype=torch.int32), torch.rand(m)
     features = field.encode(u, table, footprint, torch.zeros(2, config.rows, 2).bfloat16(), config)
     field.spread(u, table, footprint, features, config, torch.zeros(2, config.rows, 2))

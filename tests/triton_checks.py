@@ -19,7 +19,7 @@ from nerf.kernels.plain import render as plain_render
 from nerf.kernels.triton import field as triton_field
 from nerf.kernels.triton import render as triton_render
 from nerf.losses import LossConfig, losses
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.sample import Sampler, SamplerConfig
 from nerf.sky import Sky, SkyConfig
@@ -63,7 +63,7 @@ def near(ours: Tensor, theirs: Tensor, share: float) -> None:
 def asked(request: pytest.FixtureRequest) -> tuple[Tensor, Tensor, Tensor | None, GridConfig]:
     """Places, with the grid's corners among them; tables; footprints; a grid with dense and hashed levels."""
     tables, cones, levels = request.param
-    m = 2 * triton_field.BLOCK
+    m = 2 * triton_field.SAMPLES_MULTIPLE
     u = torch.rand(m, 3, generator=torch.Generator().manual_seed(1))
     u[0], u[1], u[2] = 0, 1, torch.tensor([0.5, 1.0, 0.0])
     table = (torch.arange(m) % tables).to(torch.int32)
@@ -96,7 +96,7 @@ def network(request: pytest.FixtureRequest) -> tuple[Tensor, Tensor, Tensor, Lay
     levels, neurons = request.param
     shapes = [(neurons, 2 * levels), (16, neurons), (neurons, 32), (neurons, neurons), (3, neurons)]
     layers = Layers(*(moved(drawn(*shape, seed=i) * (2 / shape[1]) ** 0.5) for i, shape in enumerate(shapes)))
-    m = 2 * triton_field.BLOCK
+    m = 2 * triton_field.SAMPLES_MULTIPLE
     features, ray = drawn(levels, m, 2).bfloat16(), torch.randint(-1, 9, (m,), dtype=torch.int32)
     features[:, 7] = 30.0  # beyond the density's limit, or far below
     return moved(features), moved(drawn(9, 16)), moved(ray), layers
@@ -242,7 +242,7 @@ def trained(device: torch.device, kernels: Kernels) -> tuple[dict[str, Tensor], 
     made = torch.Generator().manual_seed(2)
     samples.u.copy_(torch.rand(samples.u.shape, generator=made))
     samples, rays = (x if device.type == "cpu" else moved(x) for x in (samples, rays))
-    config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), NetworkConfig(width=16))
+    config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), MLPConfig(width=16))
     field, sky = Field(config, device, 3, kernels.field), Sky(SkyConfig(sizes=(4, 8)), device)
     parameters = {f"field.{k}": v for k, v in field.parameters().items()} | {"sky.texels": sky.texels}
     optimiser = Optimiser(parameters, {"field.grid": field.copies()["grid"]}, kernels.field)
@@ -279,7 +279,7 @@ def untrained(name: str, like: Tensor) -> Tensor:
     """Return the parameters before the first step."""
     if name == "sky.texels":
         return torch.zeros_like(like)
-    config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), NetworkConfig(width=16))
+    config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), MLPConfig(width=16))
     return Field(config, "cpu", seed=3).parameters()[name.removeprefix("field.")]
 
 

@@ -18,12 +18,15 @@ from nerf.types import Course, Gradients, GridConfig, Histogram, Layers, Rendere
 
 
 class FieldKernels(Protocol):
-    """The functions of the field: a hash grid, two small networks, and their optimiser. m is a multiple of BLOCK."""
+    """The functions of the field: a hash grid, two small networks, and their optimiser.
+
+    The number of samples m is a multiple of SAMPLES_MULTIPLE.
+    """
 
     STORAGE: torch.dtype
     """The type in which the grid's weights are read."""
-    BLOCK: int
-    """The numbers of samples that the functions take are multiples of this."""
+    SAMPLES_MULTIPLE: int
+    """How many samples the kernels take at a time."""
 
     def encode(self, u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: GridConfig) -> Tensor:
         """Return features (levels, m, 2) of places u (m, 3)."""

@@ -25,14 +25,10 @@ def pick(course: Course, kept: Tensor | None, resolution: int) -> Samples:
     chosen = t1 > t0
     if kept is not None:
         chosen &= kept[cells(u, table, resolution)] > 0
-    return pack(chosen, t, (t1 - t0) * course.norms[:, None], s0, s1, u, table)
-
-
-def pack(chosen: Tensor, t: Tensor, dt_m: Tensor, s0: Tensor, s1: Tensor, u: Tensor, table: Tensor) -> Samples:
-    """Pack the chosen ones of (r, n) candidates ray by ray."""
     counts = chosen.sum(dim=1)
     offsets = torch.cat([counts.new_zeros(1), torch.cumsum(counts, 0)])
     ray = torch.nonzero(chosen)[:, 0].to(torch.int32)
+    dt_m = (t1 - t0) * course.norms[:, None]
     t, dt_m, s0, s1, u, table = (x[chosen] for x in (t, dt_m, s0, s1, u, table))
     return Samples(offsets, ray, t, dt_m, s0, s1, u, table, len(ray))
 
@@ -119,8 +115,8 @@ def _widened(histogram: Histogram) -> tuple[Tensor, Tensor, Tensor]:
 
 def _invert(cumulated: Tensor, edges: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
     """Return where the cumulated mass reaches the targets, and in which space."""
-    found = torch.searchsorted(cumulated, targets.contiguous(), right=True) - 1
-    space = torch.clamp(found, 0, cumulated.shape[1] - 2)
+    after_target = torch.searchsorted(cumulated, targets.contiguous(), right=True)
+    space = torch.clamp(after_target - 1, 0, cumulated.shape[1] - 2)
     before, after = cumulated.gather(1, space), cumulated.gather(1, space + 1)
     share = torch.clamp((targets - before) / torch.clamp(after - before, min=1e-30), 0, 1)
     begin, end = edges.gather(1, space), edges.gather(1, space + 1)

@@ -7,9 +7,8 @@ products are spelt out in the kernels' order, so that float32 gives the same bit
 import torch
 from torch import Tensor
 
-from nerf.types import Spacing
+from nerf.types import BALL, BOX, Spacing
 
-BOX, BALL, SPHERES = 0, 1, 2
 _LARGEST = 1e15
 """Beyond it only the direction of a place counts: its square must not overflow float32."""
 

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from nerf.field import Field, FieldConfig
 from nerf.harmonics import harmonics
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
@@ -69,7 +69,7 @@ def main() -> None:
     samples, units = ray_samples(args.samples)
     generator = torch.Generator().manual_seed(1)
     d_sigma, d_rgb = torch.randn(args.samples, generator=generator), torch.randn(args.samples, 3, generator=generator)
-    config = FieldConfig(network=NetworkConfig(width=args.width))
+    config = FieldConfig(mlp=MLPConfig(width=args.width))
 
     field = Field(config)
     optimiser = Optimiser(field.parameters(), field.copies())
@@ -86,7 +86,7 @@ def main() -> None:
     def plain() -> None:
         features = twin_encode.encode(samples.u, samples.table, None, leaves["grid"], config.grid)
         layers = twin_field.Layers(*(tensor for name, tensor in leaves.items() if name != "grid"))
-        outputs = twin_field.shade(features, harmonics(units), samples.ray, layers, config.network.initial_density)
+        outputs = twin_field.shade(features, harmonics(units), samples.ray, layers, config.mlp.initial_density)
         adam.zero_grad()
         torch.autograd.backward(outputs, (d_sigma, d_rgb))
         adam.step()
@@ -126,7 +126,7 @@ def parts(
     field: Field, optimiser: Optimiser, samples: Samples, units: Tensor, d_sigma: Tensor, d_rgb: Tensor
 ) -> dict[str, float]:
     """Print what each part takes and its share of a limit measured on this machine; return the networks' share."""
-    grid, network, basis, count = field.grid, field.network, harmonics(units), len(samples.u)
+    grid, network, basis, count = field.grid, field.mlp, harmonics(units), len(samples.u)
     near = Field(FieldConfig(GridConfig(log2_size=8))).grid
     features = grid.encode(samples.u, samples.table)
     d_features = network.shade_backward(features, basis, samples.ray, d_sigma, d_rgb)

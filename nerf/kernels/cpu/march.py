@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from nerf.types import BOX, SPHERES
 from priors.machine.compiled import compiled
 
-BOX, BALL, SPHERES = 0, 1, 2
 ZERO, HALF, ONE, TWO, QUARTER = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(0.25)
 LARGEST = np.float32(1e15)
 Floats = npt.NDArray[np.float32]

@@ -22,9 +22,9 @@ def backward(
         inputs = [x.detach().requires_grad_() for x in (sigma, rgb, sky)]
         again = twin.render(samples, *inputs)
         outputs = (again.rgb, again.depth_m, again.transmittance, again.weights, inputs[0] * samples.dt_m)
-        given = (gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau)
-        found = torch.autograd.grad(outputs, inputs, given)
-    return found[0], found[1], found[2]
+        d_outputs = (gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau)
+        d_sigma, d_rgb, d_sky = torch.autograd.grad(outputs, inputs, d_outputs)
+    return d_sigma, d_rgb, d_sky
 
 
 def kl(samples: Samples, sigma: Tensor, target: Target, scale: Tensor, d_tau: Tensor) -> Tensor:
@@ -55,6 +55,6 @@ def interlevel(
 def _differentiate(loss: Callable[[Tensor], Tensor], at: Tensor, scale: Tensor, gradient: Tensor) -> Tensor:
     with torch.enable_grad():
         inputs = at.detach().requires_grad_()
-        found = loss(inputs)
-        gradient.add_(torch.autograd.grad((found * scale).sum(), inputs)[0])
-    return found.detach()
+        value = loss(inputs)
+        gradient.add_(torch.autograd.grad((value * scale).sum(), inputs)[0])
+    return value.detach()

@@ -25,9 +25,9 @@ def backward(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return the derivatives by sigma, rgb and sky."""
     d_sigma, d_rgb, d_sky = sigma.new_zeros(sigma.shape), rgb.new_zeros(rgb.shape), sky.new_empty(sky.shape)
-    made = [rendered.depth_m, rendered.transmittance, rendered.weights]
-    given = [gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau]
-    inputs = [samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky, *made, *given]
+    forward_results = [rendered.depth_m, rendered.transmittance, rendered.weights]
+    d_results = [gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau]
+    inputs = [samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky, *forward_results, *d_results]
     _launch(composite.backward, inputs, [d_sigma, d_rgb, d_sky], FLOOR=OPACITY_FLOOR)
     return d_sigma, d_rgb, d_sky
 
