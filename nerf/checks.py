@@ -1,4 +1,4 @@
-"""Checks of what a user sets: one line that names the setting, its value and what was expected."""
+"""Validation of settings: one line that names the setting, its value and what was expected."""
 
 from priors.errors import DataError
 

@@ -1,4 +1,4 @@
-"""The settings of a fit: what is trained, by which losses, for how long. A run's config.json holds them."""
+"""Fit settings: what is trained, by which losses, for how long. A run's config.json holds them."""
 
 import math
 from dataclasses import dataclass, field

@@ -1,4 +1,4 @@
-"""What a field leaves to other programs: a coloured point cloud, and a mesh through open3d."""
+"""Export: a coloured point cloud, and a mesh through open3d."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""A radiance field: places to density and colour, with a hand-written backward pass."""
+"""Radiance field: places to density and colour, with a hand-written backward pass."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""Fit a model to a scene: one loop, whatever the family."""
+"""Training loop: a model is fitted to a scene, whatever its family."""
 
 import json
 import math

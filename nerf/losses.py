@@ -1,4 +1,4 @@
-"""The losses: colour, depth (four of them), distortion, opacity. Per ray and unreduced; one rule reduces them all.
+"""Losses: colour, depth (four of them), distortion, opacity. Per ray and unreduced; one rule reduces them all.
 
 Reduction: a colour loss is the mean over the rays. A depth loss is the mean over the rays that have a prior, weighted
 by confidence where there is one: sum(weight l) / sum(weight). A sparse map and a dense one therefore pull equally

@@ -1,4 +1,4 @@
-"""The two small networks of a field: features to density and geometry, geometry and direction to colour."""
+"""MLPs: the two small networks of a field, features to density and geometry, geometry and direction to colour."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A trainable scene model: what `fit` trains, `checkpoint` keeps and `report` renders, whatever its family is.
+"""Model protocol: what `fit` trains, `checkpoint` keeps and `report` renders, whatever its family is.
 
 A family is a file in nerf/fields/. It may march rays through a hash grid (nerf/volumetric.py) or do something else:
 nothing outside of a family asks how.

@@ -1,4 +1,4 @@
-"""An occupancy grid: which cells of a space may hold something, so that samplers skip the others.
+"""Occupancy grid: which cells of a space may hold something, so that samplers skip the others.
 
 Carving, before the first step, from what the training views know:
 

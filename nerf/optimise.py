@@ -1,4 +1,4 @@
-"""Adam with a learning rate that follows the progress of the fit, whether its budget is time or steps."""
+"""Adam with a learning-rate schedule that follows the progress of the fit, whether its budget is time or steps."""
 
 import math
 from dataclasses import dataclass

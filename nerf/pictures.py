@@ -1,4 +1,4 @@
-"""What a field shows from one place, and the files that keep it.
+"""Rendered pictures: the files that keep what a field shows from one place.
 
 renders/rgb/ID.png           8 bits, rounded
        /depth/ID.png         uint16, metres x 256, rounded, 0 = no value: where the field is clearer than OPAQUE

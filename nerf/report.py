@@ -1,4 +1,4 @@
-"""The report of a run: its field's held-out views scored, pictured, and kept.
+"""Report of a run: its field's held-out views scored, pictured, and kept.
 
     <run>/metrics.json           figures, pooled and of each frame (format below)
          /depth.json             the depth figures as `priors eval` writes them: a row for its tables

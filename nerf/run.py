@@ -1,4 +1,4 @@
-"""A run: a folder with what was asked for, and everything that came of it; fitted and scored from Python in a line.
+"""Run: a folder with what was asked for, and everything that came of it; fitted and scored from Python in a line.
 
 runs/<name>/config.json              drive, prior, frames, views and every setting
            /checkpoint.safetensors   nerf.checkpoint

@@ -1,4 +1,4 @@
-"""A scene: posed frames and a prior's maps, arrays or files that are never held whole, in the drive's metric frame."""
+"""Scene: posed frames and a prior's maps, arrays or files that are never held whole, in the drive's metric frame."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -1,4 +1,4 @@
-"""What lies behind everything: a colour for every direction."""
+"""Environment map: a colour for every direction, behind everything."""
 
 from dataclasses import dataclass
 

@@ -1,4 +1,4 @@
-"""A space: what the field's grid covers, and how depth along a ray is spaced. The three families differ only here.
+"""Scene contraction and ray spacing: what the field's grid covers, how depth is spaced. The families differ here.
 
     box      Instant-NGP: a box; rays end where they leave it
     ball     MipNeRF-360: everything, what is outside the inner ellipsoid contracted into a shell

@@ -1,4 +1,4 @@
-"""A study: a grid of runs over one drive.
+"""Study: a grid of runs over one drive.
 
     <study>/<run>/...         a run each: nerf.run, nerf.report
            /table.md ...      nerf.study_table

@@ -1,4 +1,4 @@
-"""The ground truth that held-out views' depth is scored against."""
+"""Ground truth that held-out views' depth is scored against."""
 
 from collections.abc import Sequence
 

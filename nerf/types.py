@@ -1,4 +1,4 @@
-"""The data of a radiance field: rays, samples, what was rendered, a hash grid's size, the networks' weights.
+"""Data of a radiance field: rays, samples, what was rendered, a hash grid's size, the networks' weights.
 
 All of `nerf` may import this file, and it imports nothing of `nerf`: what works on the data lies above it.
 """

@@ -1,4 +1,4 @@
-"""A video along the drive's path: colour over depth, the camera gliding between the frames' poses."""
+"""Video along the drive's path: colour over depth, the camera gliding between the frames' poses."""
 
 import uuid
 from collections.abc import Callable, Iterator

@@ -1,4 +1,4 @@
-"""A radiance field that is rendered by volume rendering along rays: hash grid, networks and sky in one space.
+"""Volume rendering model: rays go through a hash grid, networks and a sky, in one space.
 
 The study's three families are three settings of it. Samples are drawn where the occupancy grid, the prior and the
 proposals say; field, renderer and losses are the same for all.

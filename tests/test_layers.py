@@ -28,6 +28,9 @@ ROOMS = [
     "priors/naming",
     "priors/street",
     "priors/learn",
+    "nerf/types",
+    "nerf/twin",
+    "nerf/kernels",
     "nerf",
     "cli",
 ]

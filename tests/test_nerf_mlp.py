@@ -13,6 +13,7 @@ from scipy.special import sph_harm_y
 
 from nerf.harmonics import harmonics
 from nerf.kernels.cpu import field as cpu
+from nerf.kernels.cpu import perceptron
 from nerf.kernels.plain import field as plain
 from nerf.mlp import MLP, MLPConfig
 from nerf.twin import encode as twin_encode
@@ -107,14 +108,25 @@ def test_density_alone_is_the_same_density(width, levels, count):
         torch.testing.assert_close(mine, wanted, rtol=1e-6, atol=0)
 
 
-def test_same_bits_whatever_the_threads():
-    layers, *asked, d_sigma, d_rgb = made(64, 16, 4096)
+def passes(inputs, layers, gradients):
+    """Return everything that a pass forward and back computes."""
+    d_features, d_layers = cpu.shade_backward(*inputs, layers, INITIAL, *gradients)
+    return *cpu.shade(*inputs, layers, INITIAL), d_features, *d_layers
+
+
+def test_same_bits_whatever_the_threads(monkeypatch):
+    layers, *inputs, d_sigma, d_rgb = made(64, 16, 4096)
+    gradients = d_sigma, d_rgb
     results = []
     for count in (1, 2, 5):
         with threads.limited(count):
-            d_features, d_layers = cpu.shade_backward(*asked, layers, INITIAL, d_sigma, d_rgb)
-            results.append((*cpu.shade(*asked, layers, INITIAL), d_features, *d_layers))
+            results.append(passes(inputs, layers, gradients))
     assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(results[0], other, strict=True))
+    # sums in another order have other bits: had the threads a say in it, the comparison above would tell
+    monkeypatch.setattr(perceptron, "PARTS", 5)
+    other = passes(inputs, layers, gradients)
+    assert all(torch.equal(a, b) for a, b in zip(results[0][:3], other[:3], strict=True))
+    assert not any(torch.equal(a, b) for a, b in zip(results[0][3:], other[3:], strict=True))
 
 
 def test_results_do_not_depend_on_the_neighbours():

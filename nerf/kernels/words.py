@@ -1,4 +1,4 @@
-"""What a kernel takes: flat memory. Pairs of bfloat16 are read as 32-bit words: their strides would be overlooked."""
+"""Flat memory is what a kernel takes. Pairs of bfloat16 are read as 32-bit words: their strides would be overlooked."""
 
 import torch
 from torch import Tensor

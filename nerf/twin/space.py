@@ -1,4 +1,4 @@
-"""Where points and depths lie in a space, in plain torch: what the kernels must equal. Any dtype, any device.
+"""Scene contraction and ray spacing in plain torch: what the kernels must equal. Any dtype, any device.
 
 `place` is a point in the space's own axes, divided by its half extents: the inner region is |place| <= 1. Sums and
 products are spelt out in the kernels' order, so that float32 gives the same bits.

@@ -1,4 +1,4 @@
-"""Compiled volume rendering, near to far and back, of rays first_ray to last_ray. Equals nerf/twin/render.py."""
+"""Volume rendering, compiled: near to far and back, of rays first_ray to last_ray. Equals nerf/twin/render.py."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Compiled samplers and carving: rays in parallel, each alone, so that the number of threads changes nothing.
+"""Ray marching and carving, compiled: each ray alone, so that the number of threads changes nothing.
 
 Bit for bit what nerf/twin/sample.py and nerf/twin/space.py compute in float32: no fast-math here, and every constant is
 a float32, since Python's own numbers would make a double of everything they touch.

@@ -1,4 +1,4 @@
-"""The field's two networks on CPUs: a chunk of samples goes through all layers in the core's cache.
+"""MLPs on CPUs: a chunk of samples goes through all layers in the core's cache.
 
 Activations are words of two bfloat16, rows 2j and 2j + 1 of 16 samples side by side: (groups of 16 samples, row pairs,
 16). That is what the grid writes and what a tile product reads; products and their sums are float32. The backward
