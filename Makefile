@@ -2,13 +2,14 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
+MESH_VENV ?= $(VENV)-mesh
 DEMO ?= demo
 DATA ?= ../shared/data/kitti_raw_397x120
 DEVICE ?= cuda
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+INSTALL := -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+PIP := $(BIN)/python $(INSTALL)
 
-
-.PHONY: demo test modes slow lint types bench gpu gpu-pack clean
+.PHONY: demo test modes slow mesh lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -19,11 +20,11 @@ $(VENV)/.dev: $(VENV)/.installed
 	$(PIP) --editable .[dev]
 	touch $@
 
-demo: $(VENV)/.installed  ## the embedded street: written, turned into three priors, scored, drawn
+demo: $(VENV)/.installed  ## the embedded street: written, turned into three priors, scored, drawn, reported
 	$(BIN)/priors street $(DEMO)/street --frames 12 --size 1242x375
 	for method in lidar completion stereo; do \
 		$(BIN)/priors build $(DEMO)/street --method $$method --cache $(DEMO)/cache || exit 1; done
-	$(BIN)/priors eval $(DEMO)/cache --save $(DEMO)/table.md
+	$(BIN)/priors eval $(DEMO)/cache --save $(DEMO)/table.md $(DEMO)/report.html
 	$(BIN)/priors show $(DEMO)/cache --frames 5 --out $(DEMO)/pictures
 
 test: $(VENV)/.dev  ## the quick tests
@@ -40,6 +41,15 @@ modes: $(VENV)/.dev  ## the same in every CPU mode that this CPU can stand in fo
 
 slow: $(VENV)/.dev  ## the slow ones
 	$(BIN)/python -m pytest -m slow
+
+$(MESH_VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(MESH_VENV)
+	$(MESH_VENV)/bin/python $(INSTALL) --editable .[mesh] pytest hypothesis
+	touch $@
+
+mesh: $(MESH_VENV)/.installed  ## meshes and clouds by open3d, in an environment of its own: it brings 0.6 GB
+	.ci/open3d-libraries
+	ROADPRIOR_OPEN3D=required $(MESH_VENV)/bin/python -m pytest -q tests/test_open3d.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .
@@ -58,4 +68,4 @@ gpu: gpu-pack  ## what a borrowed GPU is asked: docs/gpu.md; DEVICE=cpu BUDGET=1
 	$(BIN)/python tests/bench/gpu --device $(DEVICE) $(if $(BUDGET),--budget $(BUDGET)) $(if $(PARTS),--parts $(PARTS))
 
 clean:
-	rm -rf $(VENV) $(DEMO)
+	rm -rf $(VENV) $(MESH_VENV) $(DEMO)

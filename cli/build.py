@@ -12,8 +12,11 @@ from rich.table import Table
 from cli.arguments import DriveArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, out, progress
 from priors import build, methods
-from priors.errors import DataError
+from priors.build import BuildReport, Job, Plan
+from priors.errors import DataError, expect
 from priors.filters import Filters
+from priors.selection import Selection
+from priors.types import Method
 
 EXAMPLES = """Make depth maps for a drive and cache them; what is cached already is not made again.
 
@@ -36,31 +39,38 @@ class BuildArguments(ThreadArguments, DriveArguments):
     """How to make depth."""
     cache: Path = Path("cache")
     """Where the maps go."""
-    selection: tyro.conf.OmitArgPrefixes[build.Selection] = field(default_factory=build.Selection)
+    selection: tyro.conf.OmitArgPrefixes[Selection] = field(default_factory=Selection)
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
     workers: int = 2
     """Frames computed at the same time."""
     dry_run: bool = False
     """List what would be computed and what is skipped and why; compute nothing."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        expect(self.workers >= 1, "--workers", self.workers, "1 or more")
+
+    def chosen(self) -> Method:
+        """Return the settings of the method that was named; a subclass has a field for each method."""
+        settings: Method = vars(self)[self.method]
+        return settings
+
 
 def run(arguments: list[str]) -> int:
     """Build; returns the exit code."""
-    args: Any = parse(_with_methods(), "priors build", EXAMPLES, arguments)
+    args = parse(_with_methods(), "priors build", EXAMPLES, arguments)
     with args.limited():
         return _build(args)
 
 
-def _build(args: Any) -> int:
-    drive = args.open()
-    prior, method = build.prepare(drive, args.method, getattr(args, args.method), args.filters, args.cache)
-    reads = [*method.reads, *args.filters.reads]
-    plan = build.plan(drive, prior, reads, args.selection)
+def _build(args: BuildArguments) -> int:
+    job = build.prepare(args.open(), args.chosen(), args.filters, args.cache)
+    plan = job.plan(args.selection)
     if args.dry_run:
-        _print_plan(drive.ids, prior, plan)
+        _print_plan(job, plan)
         return 0
     with progress(args.method, len(plan.todo)) as step:
-        report = build.build(drive, prior, method, args.filters, plan, args.workers, step, _note)
+        report = job.run(plan, args.workers, step, _note)
     for frame_id, error in sorted(report.failed.items()):
         err.print(f"[bold red]frame {frame_id}:[/] {escape(error)}")
     _print_summary(report)
@@ -73,17 +83,17 @@ def _note(line: str) -> None:
     err.print(line, markup=False)
 
 
-def _with_methods() -> type[Any]:
+def _with_methods() -> type[BuildArguments]:
     """Add one group of flags for each file in priors/methods: --stereo.*, --lidar.*, ..."""
     groups = [(name, methods.config_type(name)) for name in methods.names()]
-    fields = [(name, kind, field(default_factory=kind)) for name, kind in groups]
+    fields: list[tuple[str, type[Method], Any]] = [(name, kind, field(default_factory=kind)) for name, kind in groups]
     return make_dataclass("Build", fields, bases=(BuildArguments,), frozen=True)
 
 
-def _print_plan(ids: Any, prior: Any, plan: build.Plan) -> None:
-    out.print(f"{prior.folder}")
+def _print_plan(job: Job, plan: Plan) -> None:
+    out.print(f"{job.prior.folder}")
     for index in plan.todo:
-        out.print(f"  {ids[index]}  compute")
+        out.print(f"  {job.drive.ids[index]}  compute")
     for frame_id, reason in plan.skipped.items():
         out.print(f"  {frame_id}  skip: {reason}", markup=False)
     for frame_id, error in plan.failed.items():
@@ -91,7 +101,7 @@ def _print_plan(ids: Any, prior: Any, plan: build.Plan) -> None:
     out.print(f"{len(plan.todo)} to compute, {len(plan.skipped)} skipped, {len(plan.failed)} cannot be read")
 
 
-def _print_summary(report: build.Report) -> None:
+def _print_summary(report: BuildReport) -> None:
     """Print one row: counts, time a frame, density and range."""
     import numpy as np
 
@@ -116,7 +126,7 @@ def _print_summary(report: build.Report) -> None:
         out.print(f"{too_far} values lie beyond 255.99 m, the most the format holds: left without a value")
 
 
-def _complain_if_nothing(report: build.Report) -> None:
+def _complain_if_nothing(report: BuildReport) -> None:
     """Raise DataError where no frame could be computed because every one lacks an input."""
     lacking = [reason for reason in report.plan.skipped.values() if reason != "cached" and "stood still" not in reason]
     if lacking and not report.built and not report.failed and len(lacking) == len(report.plan.skipped):

@@ -108,7 +108,7 @@ class Watch:
             self._status.stop()
 
 
-class Column(ProgressColumn):
+class CompilingColumn(ProgressColumn):
     """A bar's column that shows what a watch has to say."""
 
     def __init__(self, watch: Watch) -> None:

@@ -17,15 +17,14 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from cli.compiling import Column, Watch
-from eval.protocol import ScoreError
+from cli.compiling import CompilingColumn, Watch
 from priors.errors import DataError, UsageError
 
 PIPE_WIDTH = 160
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 
-out = Console(highlight=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
-err = Console(stderr=True, highlight=False, soft_wrap=True)
+out = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
+err = Console(stderr=True, highlight=False, emoji=False, soft_wrap=True)
 watch = Watch(err)
 """Tells when kernels are compiled."""
 
@@ -36,7 +35,7 @@ def guarded(command: Callable[[], int]) -> int:
     watch.install()
     try:
         return command()
-    except (DataError, ScoreError) as error:
+    except DataError as error:
         err.print(f"[bold red]error:[/] {escape(str(error))}")
         return USAGE_ERROR if isinstance(error, UsageError) else DATA_ERROR
     except KeyboardInterrupt:
@@ -56,7 +55,7 @@ def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
     """Show a progress bar; while it moves, what is compiled stands in its last column."""
     watch.bar_begins()
     try:
-        with Progress(*columns, Column(watch), console=err) as bar:
+        with Progress(*columns, CompilingColumn(watch), console=err) as bar:
             yield bar
     finally:
         watch.bar_ends()
@@ -94,9 +93,9 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
 @contextmanager
 def train_progress(label: str) -> Iterator[Callable[..., None]]:
     """Show loss, error and time left of a network's training on a terminal, a line every 100 steps in a pipe."""
-    from priors.learn.loop import Progress as Status
+    from priors.learn.loop import TrainProgress
 
-    def line(status: Status) -> str:
+    def line(status: TrainProgress) -> str:
         return f"step {status.step}, " + ", ".join(f"{k} {v:.3g}" for k, v in status.values.items())
 
     if err.is_terminal:

@@ -12,6 +12,7 @@ from rich.markup import escape
 from cli.console import USAGE_ERROR, err, guarded, out
 from priors.errors import DataError
 from priors.machine import cpu
+from priors.machine.memory import keep_freed
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class Program:
     examples: str
 
     def main(self) -> None:
-        """Run with the process's arguments and exit."""
+        """Run with the process's arguments and exit; the process is ours, so that its memory is too."""
+        keep_freed()
         raise SystemExit(self.run(sys.argv[1:]))
 
     def run(self, arguments: list[str]) -> int:

@@ -1,6 +1,7 @@
 """`nerf eval`: score runs and put them into one table."""
 
-from collections.abc import Sequence
+import shlex
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
@@ -9,24 +10,30 @@ import tyro
 
 from cli.arguments import Device, ThreadArguments, parse
 from cli.console import out, progress
-from eval import lpips, sheet
+from eval import lpips, typeset
+from nerf.page import runs_page
 from nerf.pictures import compare, load_view
 from nerf.report import Report
 from nerf.run import Run, open_run
 from nerf.study_table import COLUMNS
 from nerf.truths import Truths
 from priors import codecs
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
+from priors.report.page import SUFFIX, Picture
+from priors.types import Image
 
 EXAMPLES = """Score runs' held-out views and print one table; views that were rendered already are not rendered again.
 
 examples:
   nerf eval runs/street-ngp-sparse
   nerf eval runs/a runs/b runs/c --save table.md table.tex
+  nerf eval runs/a runs/b --save report.html        a page with the table, plots, pictures and settings
   nerf eval runs/a runs/b --pictures pictures       image, depth and error of each, a picture a held-out view
   nerf eval runs/a --lpips-weights squeezenet1_1_fp16.npz squeeze.pth
 """
-WRITERS = {".md": sheet.markdown, ".tex": sheet.latex, ".txt": sheet.plain}
+WRITERS = {".md": typeset.markdown, ".tex": typeset.latex, ".txt": typeset.plain}
+PICTURED = 4
+"""Held-out views that are on a report page."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ class ReportArguments(ThreadArguments):
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Runs' folders."""
     save: tuple[Path, ...] = ()
-    """Also write the table: .md, .tex or .txt, as many as wanted."""
+    """Also write the table: .md, .tex, .txt, or .html, a report page; as many as wanted."""
     pictures: Path | None = None
     """Also set the runs side by side: a picture of each held-out view in this folder."""
     device: Device = "auto"
@@ -59,49 +66,63 @@ class ReportArguments(ThreadArguments):
 def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ReportArguments, "nerf eval", EXAMPLES, arguments)
-    bad = [path for path in args.save if path.suffix not in WRITERS]
+    bad = [path for path in args.save if path.suffix not in (*WRITERS, SUFFIX)]
     if bad:
-        raise DataError(f"{bad[0]}: expected a table ending in {', '.join(WRITERS)}")
+        raise UsageError(f"--save {bad[0]}: expected a name that ends in {', '.join((*WRITERS, SUFFIX))}")
     with args.limited():
-        return _score(args)
+        return _score(args, shlex.join(["nerf", "eval", *arguments]))
 
 
-def _score(args: ReportArguments) -> int:
+def _score(args: ReportArguments, command: str) -> int:
     lpips = args.lpips.open()
     runs = [replace(open_run(folder), progress=progress) for folder in args.runs]
-    laid = print_table([each.report(args.device, lpips) for each in runs])
+    reports = [each.report(args.device, lpips) for each in runs]
+    laid = print_table(reports)
     for path in args.save:
-        codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
+        if path.suffix == SUFFIX:
+            views = _compared(runs, PICTURED) if _one_drive(runs) else ()  # the page says which drive a run has
+            pictures = [Picture(f"frame {id_}", image) for id_, image in views]
+            runs_page(runs, reports, laid, pictures, command).write(path)
+        else:
+            codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
         out.print(f"wrote {path}")
     if args.pictures is not None:
-        _picture(runs, args.pictures)
+        count = 0
+        for id_, image in _compared(runs):
+            codecs.write_image(args.pictures / f"{id_}.jpg", image, 90)
+            count += 1
+        out.print(f"wrote {count} pictures to {args.pictures}")
     return 0
 
 
-def _picture(runs: Sequence[Run], folder: Path) -> None:
-    """Write a picture of each view that all runs hold out; they must be of one drive."""
-    drive, scene = runs[0].drive, runs[0].scene
-    if any(each.drive.fingerprint() != drive.fingerprint() for each in runs[1:]):
+def _compared(runs: Sequence[Run], most: int | None = None) -> Iterator[tuple[str, Image]]:
+    """Set the views side by side that all runs hold out, of one drive; at most `most`, spread evenly."""
+    if not _one_drive(runs):
         raise DataError("--pictures: the runs are of several drives: name the runs of one")
+    drive, scene = runs[0].drive, runs[0].scene
     ids = [[each.scene.ids[position] for position in each.scene.test] for each in runs]
     truths = Truths(drive, ids[0])
     common = [(id_, position) for id_, position in zip(ids[0], scene.test, strict=True) if all(id_ in i for i in ids)]
-    for id_, position in common:
+    step = 1 if most is None else max(1, len(common) // most)
+    for id_, position in common[step // 2 :: step][:most]:
         views = [(each.name, *load_view(each.folder / "renders", id_)) for each in runs]
-        codecs.write_image(folder / f"{id_}.jpg", compare(id_, scene.images[position], truths(id_), views), 90)
-    out.print(f"wrote {len(common)} pictures to {folder}")
+        yield id_, compare(id_, scene.images[position], truths(id_), views)
 
 
-def print_table(reports: Sequence[Report]) -> sheet.Sheet:
+def _one_drive(runs: Sequence[Run]) -> bool:
+    return len({each.drive.fingerprint() for each in runs}) == 1
+
+
+def print_table(reports: Sequence[Report]) -> typeset.Table:
     """Print a row a run."""
     rows = [((str(each.info["name"]),), each.metrics()) for each in reports]
     have = {key for _, figures in rows for key in figures}
     columns = {key: column for key, column in COLUMNS.items() if key in have}
     caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
     remarks = list(dict.fromkeys(remark for each in reports for remark in each.remarks))
-    laid = sheet.lay(("run",), columns, rows, caption, remarks)
+    laid = typeset.lay_out(("run",), columns, rows, caption, remarks)
     if out.is_terminal:
-        out.print(sheet.render(laid, out.width))
+        out.print(typeset.render(laid, out.width))
     else:
-        out.file.write(sheet.plain(laid))
+        out.file.write(typeset.plain(laid))
     return laid

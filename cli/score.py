@@ -1,28 +1,30 @@
 """`priors eval`: score cached maps against the drive's truth."""
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import tyro
 from rich.markup import escape
 
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from eval import table
-from eval.curves import Curves, Metric, Samples, best, curves, join
-from eval.protocol import PRESETS, Protocol, ScoreError, preset
-from eval.result import Result, Scored, score
-from priors import cache, codecs
-from priors.build import select
+from eval.curves import Curves
+from eval.protocol import PRESETS, Protocol, preset
+from eval.result import Result
+from priors import cache
 from priors.cache import Prior
-from priors.draw.plot import Line, plot
-from priors.errors import DataError
+from priors.draw import figure, lines
+from priors.errors import DataError, UsageError
 from priors.naming import labels
-from priors.types import Drive, Image
+from priors.report.page import SUFFIX, Picture
+from priors.report.scores import picture_frames, scores_page, sparsification
+from priors.score import Score, pair, score_pairs
+from priors.selection import parse_range
 
 EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior.
 metrics.json is written beside the maps.
@@ -30,7 +32,8 @@ metrics.json is written beside the maps.
 examples:
   priors eval cache/
   priors eval cache/ --protocol garg --frames 5:17 --save table.md
-  priors eval cache/DRIVE/stereo-KEY --truth KITTI/depth --ranges --curves curves.png
+  priors eval cache/ --save report.html                      a page with table, plots and pictures
+  priors eval cache/DRIVE/stereo-KEY --truth KITTI/depth --ranges --curves curves.svg
   priors eval cache/ --against cache/DRIVE/lidar-KEY         another prior as truth
   priors eval a/metrics.json b/metrics.json --save table.tex  a table of results made before
 """
@@ -63,9 +66,74 @@ class ScoreArguments:
     ranges: bool = False
     """Also print AbsRel and RMSE by true distance."""
     curves: Path | None = None
-    """Also draw the sparsification curves of priors with a confidence into this picture."""
+    """Also plot the sparsification curves of priors with a confidence: .png, .svg or .pdf."""
     save: tuple[Path, ...] = ()
-    """Also write the table: .md, .tex, .csv or .txt, as many as wanted."""
+    """Also write the table: .md, .tex, .csv, .txt, or .html, a report page; as many as wanted."""
+
+    def __post_init__(self) -> None:
+        for path in self.save:
+            if path.suffix not in (*table.WRITERS, SUFFIX):
+                raise UsageError(f"--save {path}: expected a name that ends in {', '.join((*table.WRITERS, SUFFIX))}")
+        if self.curves is not None:
+            figure.check_name(self.curves)
+        parse_range(self.frames)
+
+    @property
+    def page(self) -> bool:
+        """Whether a report page is wanted."""
+        return any(path.suffix == SUFFIX for path in self.save)
+
+
+@dataclass(frozen=True)
+class Scored:
+    """The scores of one drive's priors, and what a page shows beside them."""
+
+    results: list[Result]
+    curves: dict[str, list[Curves]] = field(default_factory=dict)
+    """By a prior's name, of those with a confidence, where curves were asked for."""
+    pictures: list[Picture] = field(default_factory=list)
+    """Where a page was asked for."""
+
+    @property
+    def drive(self) -> str:
+        """Return the drive's name; empty where a result does not say."""
+        return str(self.results[0].info.get("drive", ""))
+
+
+@dataclass(frozen=True)
+class Output:
+    """Prints and writes what was asked for."""
+
+    args: ScoreArguments
+    command: str
+    """As typed."""
+    several: bool
+    """Whether there are several drives: each file's name then has the drive's in it."""
+
+    def show(self, scored: Scored) -> None:
+        """Print one drive's table and write its files."""
+        out.print(f"[bold]{scored.drive}[/]")
+        table.show(scored.results, self.args.metrics, out)
+        if self.args.ranges:
+            _print_ranges(scored.results)
+        if self.args.curves is not None and scored.curves:
+            path = self._place(self.args.curves, scored.drive)
+            plots = [plot for name, drawn in scored.curves.items() for plot in sparsification(name, drawn)]
+            lines.write(path, plots, max(map(len, scored.curves.values())))
+            out.print(f"wrote {path}")
+        for wanted in self.args.save:
+            self._save(scored, self._place(wanted, scored.drive))
+
+    def _save(self, scored: Scored, path: Path) -> None:
+        if path.suffix == SUFFIX:
+            scores_page(scored.results, self.args.metrics, scored.curves, scored.pictures, self.command).write(path)
+        else:
+            table.save(scored.results, path)
+        out.print(f"wrote {path}")
+
+    def _place(self, path: Path, drive: str) -> Path:
+        """Return where a file of a drive goes."""
+        return path.with_name(f"{path.stem}-{drive}{path.suffix}") if self.several and drive else path
 
 
 def run(arguments: list[str]) -> int:
@@ -74,23 +142,11 @@ def run(arguments: list[str]) -> int:
     files = [path for path in args.caches if path.suffix == ".json"]
     priors = [prior for path in args.caches if path not in files for prior in _with_maps(path)]
     drives = [list(together) for _, together in groupby(sorted(priors, key=drive_key), key=drive_key)]
-    several = len(drives) + bool(files) > 1
+    output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + bool(files) > 1)
     if files:
-        _report([Result.load(path) for path in files], args, several)
-    failed = [together for together in drives if not _try_drive(together, args, several)]
+        output.show(Scored([Result.load(path) for path in files]))
+    failed = [together for together in drives if not _try_drive(together, output)]
     return DATA_ERROR if failed else 0
-
-
-def _try_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> bool:
-    """Score and print one drive; where it cannot be scored and there are others, say why and go on."""
-    try:
-        _report(_score_drive(priors, args, several), args, several)
-    except (DataError, ScoreError) as error:
-        if not several:
-            raise
-        err.print(f"[bold red]{priors[0].folder.parent}:[/] {escape(str(error))}")
-        return False
-    return True
 
 
 def _with_maps(path: Path) -> list[Prior]:
@@ -102,115 +158,60 @@ def _with_maps(path: Path) -> list[Prior]:
     return [prior for prior in priors if prior.ids()]
 
 
-def _protocol(args: ScoreArguments) -> Protocol:
-    protocol = preset(args.protocol)
-    changes = {
-        "align": args.align,
-        "pooling": args.pooling,
-        "truth": None if args.against is None else args.against.name,
-    }
-    return replace(protocol, **{name: value for name, value in changes.items() if value is not None})  # type: ignore[arg-type]
+def _try_drive(priors: list[Prior], output: Output) -> bool:
+    """Score and print one drive; where it cannot be scored and there are others, say why and go on."""
+    try:
+        output.show(_score_drive(priors, output.args))
+    except DataError as error:
+        if not output.several:
+            raise
+        err.print(f"[bold red]{priors[0].folder.parent}:[/] {escape(str(error))}")
+        return False
+    return True
 
 
-def _score_drive(priors: list[Prior], args: ScoreArguments, several: bool) -> list[Result]:
+def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scored:
     """Score the priors of one drive."""
-    drive = reopen_drive(priors[0], args.truth)
-    reference = None if args.against is None else cache.only(args.against)
-    protocol = _protocol(args)
-    results, drawn = [], []
-    for prior, name in zip(priors, labels(priors), strict=True):
-        ids = _scored_ids(prior, drive, reference, args.frames)
-        fx_baseline = _fx_baseline(drive)
-        info = {"prior": name, "drive": drive.name, "folder": prior.name}
-        parts: list[Samples] = []
-        wants_curves = args.curves is not None and (prior.folder / "confidence").is_dir()
-        with progress(name, len(ids)) as step:
-            frames = _pairs(prior, drive, reference, ids, step)
-            result = score(frames, protocol, fx_baseline, info, parts.append if wants_curves else None)
-        result.save(prior.folder / "metrics.json")
-        results.append(result)
-        if wants_curves:
-            samples = join(parts)
-            made = _curves(samples, fx_baseline)
-            drawn.append(sparsification(name, made))
-            out.print(_best_share(name, samples, fx_baseline))
-            out.print(_areas(name, made))
-    if drawn and args.curves is not None:
-        path = args.curves.with_name(f"{args.curves.stem}-{drive.name}{args.curves.suffix}") if several else args.curves
-        codecs.write_image(path, np.concatenate(drawn))
-        out.print(f"wrote {path}")
-    return results
+    drive, names = reopen_drive(priors[0], args.truth), labels(priors)
+    against = None if args.against is None else cache.only(args.against)
+    pictures = picture_frames(drive, priors, names, args.frames) if args.page else []
+    scored = Scored([], {}, pictures)
+    for prior, name in zip(priors, names, strict=True):
+        pairs = pair(prior, drive, args.frames, against)
+        with progress(name, len(pairs)) as step:
+            one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step)
+        scored.results.append(one.result)
+        if one.pixels is not None:
+            scored.curves[name] = one.curves()
+            out.print(f"{name}: {_best_share(one)}")
+            out.print(f"{name}: {_areas(scored.curves[name])}")
+    return scored
 
 
-def _scored_ids(prior: Prior, drive: Drive, reference: Prior | None, frames: str | None) -> list[str]:
-    """List the cached frames that have a truth; DataError where none has."""
-    wanted = {drive.ids[index] for index in select(drive.ids, frames)}
-    cached = [id_ for id_ in prior.ids() if id_ in wanted]
-    if not cached:
-        asked = "" if frames is None else f" in --frames {frames}"
-        raise DataError(f"{prior.folder}: no maps of {drive.name}{asked}: build them first")
-    if reference is not None:
-        return [id_ for id_ in cached if reference.has(id_)]
-    index = {id_: i for i, id_ in enumerate(drive.ids)}
-    with_truth = [id_ for id_ in cached if drive[index[id_]].has("truth")]
-    if not with_truth:
-        drive[index[cached[0]]].truth()  # raises with the drive's own reason
-    return with_truth
+def _protocol(args: ScoreArguments) -> Protocol:
+    """Return the protocol that was named, with the changes that were asked for."""
+    protocol = preset(args.protocol)
+    return replace(protocol, align=args.align or protocol.align, pooling=args.pooling or protocol.pooling)
 
 
-def _pairs(prior: Prior, drive: Drive, reference: Prior | None, ids: Sequence[str], step: object) -> Iterator[Scored]:
-    """Read map and truth of each frame as it is asked for."""
-    index = {id_: i for i, id_ in enumerate(drive.ids)}
-    for id_ in ids:
-        made = prior.read(id_)
-        truth = drive[index[id_]].truth() if reference is None else reference.read(id_)
-        yield id_, made.depth_m, made.confidence, truth.depth_m
-        if callable(step):
-            step()
-
-
-def _fx_baseline(drive: Drive) -> float | None:
-    frame = drive[0]
-    return None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
-
-
-def _curves(samples: Samples, fx_baseline: float | None) -> list[Curves]:
-    metrics: tuple[Metric, ...] = ("abs_rel", "rmse") if fx_baseline is None else ("abs_rel", "rmse", "d1")
-    return [curves(samples, metric, fx_baseline) for metric in metrics]
-
-
-def sparsification(name: str, made: Sequence[Curves]) -> Image:
-    """Draw how a prior's errors fall as the least confident pixels are dropped, one plot a metric."""
-    plots = []
-    for curve in made:
-        lines = [
-            Line("by confidence", curve.kept, curve.by_confidence),
-            Line("farthest first", curve.kept, curve.farthest_first),
-            Line("oracle", curve.kept, curve.oracle, dashed=True),
-        ]
-        column = table.COLUMNS[curve.metric]
-        plots.append(plot(lines, "share of the pixels kept", f"{column.label} {column.unit}".strip(), name))
-    return np.concatenate(plots, axis=1)
-
-
-def _areas(name: str, made: Sequence[Curves]) -> str:
+def _areas(curves: Sequence[Curves]) -> str:
     """Say how far each curve lies from the oracle's, beside the trivial confidence."""
     texts = [
         f"{table.COLUMNS[curve.metric].label} {curve.ause:.4g} (farthest first {curve.ause_farthest_first:.4g})"
-        for curve in made
+        for curve in curves
     ]
-    return f"{name}: AUSE {', '.join(texts)}"
+    return f"AUSE {', '.join(texts)}"
 
 
-def _best_share(name: str, samples: Samples, fx_baseline: float | None) -> str:
-    """Score the study's share of the pixels: the most confident ones, and the nearest, which need no confidence."""
-    nearest = replace(samples, confidence=-samples.prediction_m)
-    texts = []
-    for chosen in (samples, nearest):
-        figures = best(chosen, STUDY_SHARE, fx_baseline=fx_baseline)
-        text = f"AbsRel {figures['abs_rel']:.4f}, SqRel {figures['sq_rel']:.4f} m, RMSE {figures['rmse']:.3f} m"
-        texts.append(text + (f", D1 {figures['d1']:.3f} %" if "d1" in figures else ""))
-    return f"{name}: the {STUDY_SHARE:.2%} most confident pixels {texts[0]}; the nearest {texts[1]}"
+def _best_share(score: Score) -> str:
+    """Tell the figures of the study's share of the pixels: the most confident ones, and the nearest."""
+    confident, nearest = map(_figures, (score.most_confident(STUDY_SHARE), score.nearest(STUDY_SHARE)))
+    return f"the {STUDY_SHARE:.2%} most confident pixels {confident}; the nearest {nearest}"
+
+
+def _figures(figures: dict[str, float]) -> str:
+    text = f"AbsRel {figures['abs_rel']:.4f}, SqRel {figures['sq_rel']:.4f} m, RMSE {figures['rmse']:.3f} m"
+    return text + (f", D1 {figures['d1']:.3f} %" if "d1" in figures else "")
 
 
 def _print_ranges(results: Sequence[Result]) -> None:
@@ -221,16 +222,3 @@ def _print_ranges(results: Sequence[Result]) -> None:
             for (low, high), figures in result.by_range()
         ]
         out.print(f"{result.name}: AbsRel, RMSE by range: {'; '.join(parts)}")
-
-
-def _report(results: Sequence[Result], args: ScoreArguments, several: bool) -> None:
-    """Print one drive's table and write what was asked for."""
-    drive = str(results[0].info.get("drive", ""))
-    out.print(f"[bold]{drive}[/]")
-    table.show(results, args.metrics, out)
-    if args.ranges:
-        _print_ranges(results)
-    for path in args.save:
-        path = path.with_name(f"{path.stem}-{drive}{path.suffix}") if several and drive else path
-        table.save(results, path)
-        out.print(f"wrote {path}")

@@ -1,6 +1,5 @@
 """`priors show`: pictures of cached maps."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
@@ -11,14 +10,11 @@ import tyro
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import out, progress
 from priors import cache, codecs
-from priors.build import select
 from priors.cache import Prior
-from priors.codecs import as_rgb
-from priors.draw import panel
-from priors.draw.panel import Tile
-from priors.errors import DataError
+from priors.draw.comparison import compare
+from priors.errors import DataError, expect
 from priors.naming import labels
-from priors.types import Depth, Frame, Image
+from priors.selection import parse_range, select
 
 EXAMPLES = """Write pictures: image and truth on top, then a row a prior - depth, error against the truth, confidence.
 
@@ -45,6 +41,11 @@ class ShowArguments:
     width: int = 620
     """Width of one tile, pixels."""
 
+    def __post_init__(self) -> None:
+        parse_range(self.frames)
+        expect(self.every >= 1, "--every", self.every, "1 or more")
+        expect(self.width >= 16, "--width", self.width, "16 or more pixels")
+
 
 def run(arguments: list[str]) -> int:
     """Write the pictures; returns the exit code."""
@@ -58,35 +59,17 @@ def run(arguments: list[str]) -> int:
 def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
     drive = reopen_drive(priors[0], args.truth)
     cached = {id_ for prior in priors for id_ in prior.ids()}
-    chosen = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
-    if not chosen:
+    indices = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
+    if not indices:
         raise DataError(f"{priors[0].folder.parent}: no maps of these frames: build them first")
     names = labels(priors)
     folder = args.out / drive.name
-    with progress("show", len(chosen)) as step:
-        for index in chosen:
+    with progress("show", len(indices)) as step:
+        for index in indices:
             frame = drive[index]
             rows = [
                 (name, prior.read(frame.id)) for name, prior in zip(names, priors, strict=True) if prior.has(frame.id)
             ]
             codecs.write_image(folder / f"{frame.id}.jpg", compare(frame, rows, args.width))
             step()
-    out.print(f"wrote {len(chosen)} pictures to {folder}")
-
-
-def compare(frame: Frame, rows: Sequence[tuple[str, Depth]], width: int) -> Image:
-    """Lay out one frame: image and truth, then depth, error and confidence of each prior."""
-    image = as_rgb(frame.image())
-    truth = frame.truth() if frame.has("truth") else None
-    dark = Tile(image * 0, "")
-    tiles = [Tile(image, f"frame {frame.id}"), dark, dark]
-    if truth is not None:
-        tiles[1] = panel.depth_tile(truth, "truth")
-    if frame.has("other"):
-        tiles[2] = Tile(as_rgb(frame.other()), "the pair's other image")
-    for name, depth in rows:
-        tiles.append(panel.depth_tile(depth, name))
-        tiles.append(dark if truth is None else panel.error_tile(depth, truth))
-        tiles.append(dark if depth.confidence is None else panel.confidence_tile(depth))
-    used = 3 if any(depth.confidence is not None for _, depth in rows) else 2
-    return panel.panel([tile for i, tile in enumerate(tiles) if i % 3 < used], used, width)
+    out.print(f"wrote {len(indices)} pictures to {folder}")

@@ -12,7 +12,7 @@ from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.fit import FieldName, seconds
 from cli.report import LpipsArguments
-from eval import sheet
+from eval import typeset
 from nerf import study_table
 from nerf.config import FitConfig
 from nerf.losses import LossConfig
@@ -106,7 +106,7 @@ def _make(args: StudyArguments, command: str) -> int:
     runner = FitRunner(drive, fit, args.frames, args.device, lpips, progress, fit_progress, command_of)
     outcomes = run_study(grid, args.out, runner, runner.settings, _tell)
     laid = study_table.lay_out(outcomes)
-    out.print(sheet.render(laid, out.width)) if out.is_terminal else out.file.write(sheet.plain(laid))
+    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.file.write(typeset.plain(laid))
     for path in study_table.save(outcomes, args.out, command):
         out.print(f"wrote {path}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0

@@ -14,7 +14,7 @@ from priors.learn.config import TrainConfig
 from priors.machine.device import pick_device
 
 if TYPE_CHECKING:
-    from priors.learn.loop import Task
+    from priors.learn.training_run import Task
 
 EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill) and goes on with the same command.
 
@@ -73,7 +73,7 @@ class StereoArguments(RunArguments):
     cache: Path | None = None
     """Where prepared real data is kept; default: `real` beside the samples."""
     teacher: Path | None = None
-    """Folder of a teacher's maps of the odometry frames, see `python -m priors.learn.teach --help`."""
+    """Folder of a teacher's maps of the odometry frames, see `python -m priors.learn.teacher_labels --help`."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ def run(arguments: list[str]) -> int:
 
 def render_samples(args: SamplesArguments) -> None:
     """Render samples of procedural streets."""
-    from priors.learn.render import render
+    from priors.learn.street_samples import render
 
     with progress("samples", args.count) as step:
         render(args.out, args.count, step, args.part)
@@ -132,13 +132,14 @@ def render_samples(args: SamplesArguments) -> None:
 
 def stereo_task(args: StereoArguments) -> "Task":
     """Make what a stereo network learns."""
-    from priors.learn import data, stereo
+    from priors.learn.stereo import SCHEDULE, StereoTask
+    from priors.learn.stereo_data import Folders, mixture, validation
     from priors.nets import runtime
 
     net = runtime.create(args.net, args.size)
-    folders = args.street, args.real, args.cache, args.teacher
-    schedule = (0, 0) if started_from(args) else stereo.SCHEDULE  # what has learned already learns on as a whole
-    return stereo.StereoTask(net, data.mixture(*folders), data.validation(*folders, count=10), args.batch, schedule)
+    folders = Folders(args.street, args.real, args.cache, args.teacher)
+    schedule = (0, 0) if started_from(args) else SCHEDULE  # what has learned already learns on as a whole
+    return StereoTask(net, mixture(folders), validation(folders, count=10), args.batch, schedule)
 
 
 def completion_task(args: RunArguments) -> "Task":
@@ -158,7 +159,7 @@ def mono_task(args: RunArguments) -> "Task":
 
 def started_from(args: RunArguments) -> str | None:
     """Return the name of the weights that a run starts from, or that it started from where it goes on; None: none."""
-    from priors.learn.loop import about_run
+    from priors.learn.checkpoint import about_run
 
     return about_run(args.out).get("start") if args.start is None else args.start.name
 
@@ -180,7 +181,7 @@ def train_network(args: RunArguments, task: "Task", net: str) -> None:
 
 def pack(args: PackArguments) -> None:
     """Write a run's best weights as a file that methods take."""
-    from priors.learn.pack import pack_run
+    from priors.learn.checkpoint import pack_run
 
     pack_run(args.run, args.out)
     out.print(f"wrote {args.out} ({args.out.stat().st_size / 1e6:.1f} MB)")
@@ -188,7 +189,8 @@ def pack(args: PackArguments) -> None:
 
 def calibrate(args: CalibrateArguments) -> None:
     """Fit a stereo network's confidence to its errors on what training held back."""
-    from priors.learn.confidence import calibrate_file
+    from priors.learn.confidence_calibration import calibrate_file
+    from priors.learn.stereo_data import Folders
 
-    for line in calibrate_file(args.file, args.street, args.real, args.cache):
+    for line in calibrate_file(args.file, Folders(args.street, args.real, args.cache)):
         out.print(line)

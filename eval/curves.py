@@ -22,12 +22,12 @@ from eval.stereo import DisparitySums, is_d1
 
 Flat = npt.NDArray[np.float64]
 Metric = Literal["abs_rel", "rmse", "d1"]
-KEPT = np.linspace(1.0, 0.02, 50)
+KEPT_SHARES = np.linspace(1.0, 0.02, 50)
 """Kept shares of a curve: all pixels down to 2 %, in steps of 2 %."""
 
 
 @dataclass(frozen=True, slots=True)
-class Samples:
+class ScoredPixels:
     """The scored pixels of any number of frames, flat; 24 bytes a pixel."""
 
     prediction_m: Flat
@@ -63,37 +63,37 @@ class Curves:
         return _area(self.farthest_first - self.oracle, self.kept)
 
 
-def join(parts: Sequence[Samples]) -> Samples:
+def join(parts: Sequence[ScoredPixels]) -> ScoredPixels:
     """Put the scored pixels of frames together; none at all is no pixel."""
     columns = (
         [part.prediction_m for part in parts],
         [part.truth_m for part in parts],
         [part.confidence for part in parts],
     )
-    return Samples(*(np.concatenate([np.zeros(0), *column]) for column in columns))
+    return ScoredPixels(*(np.concatenate([np.zeros(0), *column]) for column in columns))
 
 
-def sample(ready: Prepared, confidence: FloatArray | None) -> Samples:
+def scored_pixels(ready: Prepared, confidence: FloatArray | None) -> ScoredPixels:
     """Return one frame's scored pixels; confidence is of the whole image.
 
     Pixels the protocol filled are left out: nobody stated a confidence for them. Without a confidence all are alike.
     """
     scored = ready.own & has_value(ready.truth_m)
     trust = np.ones(scored.shape) if confidence is None else ready.cut(confidence)
-    return Samples(ready.prediction_m[scored], ready.truth_m[scored], trust[scored].astype(np.float64))
+    return ScoredPixels(ready.prediction_m[scored], ready.truth_m[scored], trust[scored].astype(np.float64))
 
 
-def curves(samples: Samples, metric: Metric, fx_baseline: float | None = None, kept: Flat = KEPT) -> Curves:
+def curves(pixels: ScoredPixels, metric: Metric, fx_baseline: float | None = None, kept: Flat = KEPT_SHARES) -> Curves:
     """Make the three curves of a metric; d1 is in percent and needs fx * baseline, px m."""
-    error = _error(samples, metric, fx_baseline)
-    orders = samples.confidence, -error, -samples.prediction_m
-    made = [sparsify(error, order, kept) for order in orders]
+    error = _error(pixels, metric, fx_baseline)
+    orders = pixels.confidence, -error, -pixels.prediction_m
+    heights = [sparsify(error, order, kept) for order in orders]
     if metric == "rmse":
-        made = [np.sqrt(curve) for curve in made]
-    return Curves(metric, kept, *made)
+        heights = [np.sqrt(height) for height in heights]
+    return Curves(metric, kept, *heights)
 
 
-def sparsify(error: Flat, confidence: Flat, kept: Flat = KEPT) -> Flat:
+def sparsify(error: Flat, confidence: Flat, kept: Flat = KEPT_SHARES) -> Flat:
     """Return the mean error (m,) of each kept share (m,) of the pixels (n,), most confident first.
 
     Where a share ends within a group of equal confidence, it holds that part of the group's sum. NaN without pixels.
@@ -107,26 +107,26 @@ def sparsify(error: Flat, confidence: Flat, kept: Flat = KEPT) -> Flat:
     return np.interp(wanted, counts, sums) / wanted
 
 
-def best(samples: Samples, share: float, seed: int = 0, fx_baseline: float | None = None) -> dict[str, float]:
+def best(pixels: ScoredPixels, share: float, seed: int = 0, fx_baseline: float | None = None) -> dict[str, float]:
     """Score the most confident share of the pixels by every depth metric; equals are drawn by the seed.
 
     With fx * baseline, px m, by every disparity metric as well.
     """
-    n = round(share * samples.truth_m.size)
-    shuffled = np.random.default_rng(seed).permutation(samples.truth_m.size)
-    order = np.argsort(-np.nan_to_num(samples.confidence[shuffled], nan=-np.inf), kind="stable")
-    kept = np.zeros_like(samples.prediction_m)
+    n = round(share * pixels.truth_m.size)
+    shuffled = np.random.default_rng(seed).permutation(pixels.truth_m.size)
+    order = np.argsort(-np.nan_to_num(pixels.confidence[shuffled], nan=-np.inf), kind="stable")
+    kept = np.zeros_like(pixels.prediction_m)
     chosen = shuffled[order[:n]]
-    kept[chosen] = samples.prediction_m[chosen]
-    figures = DepthSums.over(kept, samples.truth_m).finish()
+    kept[chosen] = pixels.prediction_m[chosen]
+    figures = DepthSums.over(kept, pixels.truth_m).finish()
     if fx_baseline is not None:
-        figures.update(DisparitySums.over_depths(kept, samples.truth_m, fx_baseline).finish())
+        figures.update(DisparitySums.over_depths(kept, pixels.truth_m, fx_baseline).finish())
     return figures
 
 
-def _error(samples: Samples, metric: Metric, fx_baseline: float | None) -> Flat:
+def _error(pixels: ScoredPixels, metric: Metric, fx_baseline: float | None) -> Flat:
     """Return each pixel's part in the metric; what is averaged, before any root."""
-    p, t = samples.prediction_m, samples.truth_m
+    p, t = pixels.prediction_m, pixels.truth_m
     if metric == "abs_rel":
         return np.abs(p - t) / t
     if metric == "rmse":

@@ -22,28 +22,30 @@ A value is a finite number above 0 that float32 can hold (denormals included); 0
 A figure over no pixels is NaN.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from eval.sums import Sums, ratio_of
+
 FloatArray = npt.NDArray[np.floating]
 Mask = npt.NDArray[np.bool_]
 
-SMALLEST_M = float(np.finfo(np.float32).smallest_subnormal)
-LARGEST_M = float(np.finfo(np.float32).max)
+SMALLEST_VALUE = float(np.finfo(np.float32).smallest_subnormal)
+LARGEST_VALUE = float(np.finfo(np.float32).max)
 
 
 def has_value(depth_m: npt.NDArray[Any]) -> Mask:
     """Tell where a map (any shape) has a value."""
     wide = depth_m.astype(np.float64, copy=False)  # a float16 map is not compared against an overflowed bound
-    return (wide >= SMALLEST_M) & (wide <= LARGEST_M)
+    return (wide >= SMALLEST_VALUE) & (wide <= LARGEST_VALUE)
 
 
 @dataclass(frozen=True, slots=True)
-class DepthSums:
-    """What the depth metrics need to know about any number of pixels; two of them add."""
+class DepthSums(Sums):
+    """What the depth metrics need to know about any number of pixels."""
 
     pixels: int = 0
     """All pixels looked at."""
@@ -72,15 +74,15 @@ class DepthSums:
     log_spread: float = 0.0
     """Sum of (g - log_mean)^2."""
 
-    def __add__(self, other: "DepthSums") -> "DepthSums":
-        """Join two sets of pixels; means and spreads by Chan et al., 1979."""
-        joined = {f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)}
-        if joined["count"]:
-            share = other.count / joined["count"]
-            gap = other.log_mean - self.log_mean
-            joined["log_mean"] = self.log_mean + gap * share
-            joined["log_spread"] += gap * gap * self.count * share
-        return DepthSums(**joined)
+    def __add__(self, other: Self) -> Self:
+        """Join two sets of pixels; mean and spread of g by Chan et al., 1979."""
+        joined = Sums.__add__(self, other)  # super() does not know a class that slots made anew
+        if not joined.count:
+            return joined
+        share = other.count / joined.count
+        gap = other.log_mean - self.log_mean
+        spread = joined.log_spread + gap * gap * self.count * share
+        return replace(joined, log_mean=self.log_mean + gap * share, log_spread=spread)
 
     @classmethod
     def over(cls, prediction_m: FloatArray, truth_m: FloatArray, own: Mask | None = None) -> Self:
@@ -119,7 +121,7 @@ class DepthSums:
         )
 
     def finish(self) -> dict[str, float]:
-        """Turn sums into the metrics named above; NaN where there is nothing to average."""
+        """Turn the sums into the metrics of the table above."""
         n = self.count
         return {
             "delta_1": ratio_of(self.within_1, n),
@@ -137,8 +139,3 @@ class DepthSums:
             "density": ratio_of(self.covered, self.truth),
             "density_image": ratio_of(self.values, self.pixels),
         }
-
-
-def ratio_of(total: float, count: int) -> float:
-    """Divide; NaN where count is 0."""
-    return total / count if count else float("nan")

@@ -8,8 +8,9 @@
 | ssim_gauss11   | float images in [0, 1] | 11x11 Gaussian window, sigma 1.5: the original, and torchmetrics' default |
 
 SSIM: Wang et al., IEEE TIP 2004, K1 = 0.01, K2 = 0.03, each channel by itself, then the mean. Windows lie inside the
-image: both libraries leave out the border that half a window touches. The two differ by hundredths: a table must name
-which it holds, as these keys do.
+image: the border that half a window touches is left out. Both are computed by scikit-image's structural_similarity; its
+options make the second one torchmetrics'. The two differ by hundredths: a table must name which it holds, as these keys
+do.
 
 Equal images have an infinite PSNR, and a mean over images with one of them is infinite. Float images are clipped to
 [0, 1] first; "as saved" is rounded to 8 bits. A value that is not finite is an error and no score.
@@ -19,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -29,8 +29,7 @@ Float = npt.NDArray[np.float64]
 Bytes = npt.NDArray[np.uint8]
 AnyImage = npt.NDArray[Any]
 
-K1, K2 = 0.01, 0.03
-UNIFORM_PX, GAUSS_PX, GAUSS_SIGMA_PX = 7, 11, 1.5
+UNIFORM_PX, GAUSS_PX = 7, 11
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,43 +94,33 @@ def as_uint8(image: AnyImage) -> Bytes:
 
 def mse(image: AnyImage, truth: AnyImage) -> float:
     """Return the mean squared difference, in the images' own unit."""
-    return float(np.mean((image.astype(np.float64) - truth.astype(np.float64)) ** 2))
+    from skimage.metrics import mean_squared_error
+
+    return float(mean_squared_error(image, truth))
 
 
 def psnr(mse: float, data_range: float = 1.0) -> float:
     """Turn a mean squared error into decibels; infinite where it is 0."""
+    # Result files keep the error, so that figures can be made anew: scikit-image's PSNR starts from images.
     return float("inf") if mse == 0 else float(10 * np.log10(data_range**2 / mse))
 
 
 def ssim_uniform7(image: Bytes, truth: Bytes) -> float:
-    """Return the mean SSIM of 8-bit images by a uniform window, as scikit-image's structural_similarity has it."""
-    count = UNIFORM_PX**2
-    return _ssim(image, truth, np.full(UNIFORM_PX, 1 / UNIFORM_PX), 255.0, count / (count - 1))
+    """Return the mean SSIM of 8-bit images by a uniform window and the sample covariance."""
+    return _ssim(image, truth, UNIFORM_PX, data_range=255)
 
 
 def ssim_gauss11(image: Float, truth: Float) -> float:
-    """Return the mean SSIM of images in [0, 1] by a Gaussian window, as Wang et al. and torchmetrics have it."""
-    offset = np.arange(GAUSS_PX) - GAUSS_PX // 2
-    window = np.exp(-(offset**2) / (2 * GAUSS_SIGMA_PX**2))
-    return _ssim(image, truth, window / window.sum(), 1.0, 1.0)
+    """Return the mean SSIM of images in [0, 1] by a Gaussian window and the population covariance."""
+    # scikit-image cuts its Gaussian off at 3.5 sigma: 5 px each way, 11 in all.
+    return _ssim(image, truth, GAUSS_PX, data_range=1, gaussian_weights=True, sigma=1.5, use_sample_covariance=False)
 
 
-def _ssim(image: AnyImage, truth: AnyImage, window: Float, data_range: float, unbias: float) -> float:
-    """Average SSIM over all windows that lie inside the image; `unbias` scales variances and covariance."""
-    if min(image.shape[:2]) < len(window):
-        raise ScoreError(f"image is {text(image.shape[:2])}: SSIM needs {len(window)} px each way")
-    x, y = image.astype(np.float64), truth.astype(np.float64)
-    mean_x, mean_y = _inside(x, window), _inside(y, window)
-    var_x = unbias * (_inside(x * x, window) - mean_x**2)
-    var_y = unbias * (_inside(y * y, window) - mean_y**2)
-    both = unbias * (_inside(x * y, window) - mean_x * mean_y)
-    c1, c2 = (K1 * data_range) ** 2, (K2 * data_range) ** 2
-    similar = (2 * mean_x * mean_y + c1) * (2 * both + c2)
-    return float(np.mean(similar / ((mean_x**2 + mean_y**2 + c1) * (var_x + var_y + c2))))
+def _ssim(image: AnyImage, truth: AnyImage, window_px: int, **options: float) -> float:
+    """Average scikit-image's SSIM over channels and over all windows that lie inside the image."""
+    from skimage.metrics import structural_similarity
 
-
-def _inside(image: Float, window: Float) -> Float:
-    """Filter rows and columns by a window; only where it lies inside the image."""
-    half = len(window) // 2
-    filtered = cv2.sepFilter2D(image, cv2.CV_64F, window, window)
-    return np.asarray(filtered[half : image.shape[0] - half, half : image.shape[1] - half], dtype=np.float64)
+    if min(image.shape[:2]) < window_px:
+        raise ScoreError(f"image is {text(image.shape[:2])}: SSIM needs {window_px} px each way")
+    channels = 2 if image.ndim == 3 else None
+    return float(structural_similarity(image, truth, win_size=window_px, channel_axis=channels, **options))

@@ -23,13 +23,13 @@ HOW_TO_GET = (
     "LPIPS needs --lpips-weights BACKBONE HEADS: torchvision's squeezenet1_1 or vgg16 weights (.npz, .safetensors or "
     ".pth) and the heads of `pip download --no-deps lpips==0.1.4` (unzip; lpips/weights/v0.1/squeeze.pth or vgg.pth)"
 )
-SHIFT, SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
+INPUT_SHIFT, INPUT_SCALE = (-0.030, -0.088, -0.188), (0.458, 0.448, 0.450)
 """Of images in [-1, 1]: what the heads were trained with."""
-SMALLEST_PX = 32
+SMALLEST_SIDE_PX = 32
 # A step: "c4" convolution 4 with rectifier, "f3" fire module 3, "p" the network's pooling, "." take these features.
 SQUEEZE = "c0 . p f3 f4 . p f6 f7 . p f9 . f10 . f11 . f12 ."
 VGG = "c0 c2 . p c5 c7 . p c10 c12 c14 . p c17 c19 c21 . p c24 c26 c28 ."
-TELLING = {"squeeze": "features.3.squeeze.weight", "vgg": "features.28.weight"}
+OWN_ENTRY = {"squeeze": "features.3.squeeze.weight", "vgg": "features.28.weight"}
 """An entry that only this network has."""
 PLANS = {"squeeze": SQUEEZE, "vgg": VGG}
 
@@ -55,8 +55,8 @@ class Lpips:
 
         if image.shape != truth.shape or image.ndim != 3 or image.shape[2] != 3:
             raise ScoreError(f"LPIPS is of two RGB images of one size, found {text(image.shape)}, {text(truth.shape)}")
-        if min(image.shape[:2]) < SMALLEST_PX:
-            raise ScoreError(f"image is {text(image.shape[:2])}: LPIPS needs {SMALLEST_PX} px each way")
+        if min(image.shape[:2]) < SMALLEST_SIDE_PX:
+            raise ScoreError(f"image is {text(image.shape[:2])}: LPIPS needs {SMALLEST_SIDE_PX} px each way")
         with torch.inference_mode():
             return float(self.distances(torch.stack([_tensor(image)]), torch.stack([_tensor(truth)]))[0])
 
@@ -78,7 +78,7 @@ class Lpips:
         from torch.nn import functional as F
 
         channel = (1, 3, 1, 1)
-        x = (images - torch.tensor(SHIFT).view(channel)) / torch.tensor(SCALE).view(channel)
+        x = (images - torch.tensor(INPUT_SHIFT).view(channel)) / torch.tensor(INPUT_SCALE).view(channel)
         x = x.to(memory_format=torch.channels_last)
         squeeze, taps = self.net == "squeeze", []
         for step in PLANS[self.net].split():
@@ -111,16 +111,16 @@ def load(paths: Sequence[Path]) -> Lpips:
     for path in paths:
         tensors |= read_weights(path)
     named = " and ".join(map(str, paths)) or "no file"
-    net = next((net for net, entry in TELLING.items() if entry in tensors), None)
+    net = next((net for net, entry in OWN_ENTRY.items() if entry in tensors), None)
     if net is None:
         raise ScoreError(f"{named}: no backbone of SqueezeNet 1.1 or VGG16 in it: {HOW_TO_GET}")
     heads = [name for i in range(PLANS[net].count(".")) for name in tensors if name.startswith(f"lin{i}.")]
     wanted = _shapes(net)
     backbone = {name: tensor for name, tensor in tensors.items() if name in wanted}
     wrong = [name for name, shape in wanted.items() if name not in tensors or tuple(tensors[name].shape) != shape]
-    found = [tensors[name].numel() for name in heads]
-    if wrong or found != _tapped(net):
-        what = f"{wrong[0]} is missing or of another shape" if wrong else f"heads of {found or 'no'} channels"
+    channels = [tensors[name].numel() for name in heads]
+    if wrong or channels != _tapped(net):
+        what = f"{wrong[0]} is missing or of another shape" if wrong else f"heads of {channels or 'no'} channels"
         raise ScoreError(f"{named}: {what}, expected {net} with heads of {_tapped(net)}: {HOW_TO_GET}")
     return Lpips(net, backbone, [tensors[name].reshape(1, -1, 1, 1) for name in heads])
 
@@ -132,14 +132,14 @@ def read_weights(path: Path) -> Layers:
     try:
         if path.suffix == ".npz":
             with np.load(path, allow_pickle=False) as file:
-                found: Mapping[str, Any] = {name: torch.from_numpy(file[name]) for name in file.files}
+                tensors: Mapping[str, Any] = {name: torch.from_numpy(file[name]) for name in file.files}
         elif path.suffix == ".safetensors":
             from safetensors.torch import load_file
 
-            found = load_file(path)
+            tensors = load_file(path)
         else:
-            found = torch.load(path, map_location="cpu", weights_only=True)
-        return {name: tensor.float().contiguous() for name, tensor in found.items()}
+            tensors = torch.load(path, map_location="cpu", weights_only=True)
+        return {name: tensor.float().contiguous() for name, tensor in tensors.items()}
     except OSError as error:
         raise ScoreError(f"{path}: cannot be read ({error.strerror or error}): {HOW_TO_GET}") from error
     except Exception as error:  # three libraries, each with its own errors for a damaged file
@@ -179,7 +179,8 @@ def _tapped(net: str) -> list[int]:
     widths, last, taps = dict(_widths(net)), 0, []
     for step in PLANS[net].split():
         last = widths.get(step, last)
-        taps += [last] * (step == ".")
+        if step == ".":
+            taps.append(last)
     return taps
 
 

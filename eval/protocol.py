@@ -12,6 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.depth import FloatArray, Mask, has_value
+from eval.errors import DataError
 
 KB_ROWS, KB_COLUMNS = 352, 1216
 # Top, bottom, left, right as shares of the image, each cut off to whole pixels, as in their authors' code.
@@ -21,8 +22,8 @@ FRACTIONS = {
 }
 
 
-class ScoreError(ValueError):
-    """Scores that cannot be made, read or compared, told in one line."""
+class ScoreError(DataError):
+    """A score that cannot be made, read or compared."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +104,7 @@ class Protocol:
         own = has_value(prediction_m)
         prediction = np.where(own, prediction_m, 0).astype(np.float64)
         if self.missing != "skip":
-            prediction = fill_rows(prediction, self.missing == "fill_far")
+            prediction = fill_rows(prediction, self.missing)
         prediction, own = prediction[window], own[window]
         truth = np.where(has_value(truth_m), truth_m, 0)[window].astype(np.float64)
         truth[(truth <= self.min_m) | (truth >= (self.max_m or np.inf))] = 0
@@ -149,7 +150,7 @@ def align(prediction_m: npt.NDArray[np.float64], truth_m: FloatArray, how: str) 
     return np.where(valued, scale * prediction_m + shift, 0.0)
 
 
-def fill_rows(depth_m: npt.NDArray[np.float64], farther: bool) -> npt.NDArray[np.float64]:
+def fill_rows(depth_m: npt.NDArray[np.float64], end: Literal["fill_near", "fill_far"]) -> npt.NDArray[np.float64]:
     """Fill gaps as KITTI's evaluation does: along the row, from the gap's nearer or farther end.
 
     A gap at the image's side takes its one end; empty rows above and below take the first and last row with values.
@@ -165,7 +166,7 @@ def fill_rows(depth_m: npt.NDArray[np.float64], farther: bool) -> npt.NDArray[np
     after = np.minimum.accumulate(np.where(valued, column, width)[:, ::-1], axis=1)[:, ::-1]
     padded = np.pad(depth_m, ((0, 0), (1, 1)), constant_values=np.nan)  # column -1 and column width: no end there
     ends = np.take_along_axis(padded, before + 1, axis=1), np.take_along_axis(padded, after + 1, axis=1)
-    filled = np.nan_to_num(np.fmax(*ends) if farther else np.fmin(*ends))
+    filled = np.nan_to_num(np.fmax(*ends) if end == "fill_far" else np.fmin(*ends))
     filled[: rows[0]], filled[rows[-1] + 1 :] = filled[rows[0]], filled[rows[-1]]
     return filled
 

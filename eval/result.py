@@ -6,26 +6,34 @@ and each frame's sums. Only protocol, info and sums are read back; NaN is writte
 
 import json
 import math
-import os
-import uuid
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import reduce
 from operator import add
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 
-from eval.curves import Samples, curves, sample
+from eval.curves import ScoredPixels, curves, scored_pixels
 from eval.depth import DepthSums, FloatArray
+from eval.files import write_bytes
 from eval.protocol import Protocol, ScoreError
 from eval.stereo import DisparitySums
 
 FORMAT = 1
 Pooling = Literal["image", "pixel"]
-Scored = tuple[str, FloatArray, FloatArray | None, FloatArray]
-"""Frame id, prediction_m, confidence or None, truth_m; each map (height, width)."""
+
+
+class Comparison(NamedTuple):
+    """One frame's prediction and truth, as they were made; the maps are (height, width)."""
+
+    frame: str
+    """Id; where a result spans drives, with the drive's name before it."""
+    prediction_m: FloatArray
+    confidence: FloatArray | None
+    """Higher is more trusted; None where the method states none."""
+    truth_m: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +41,7 @@ class Row:
     """One frame's sums."""
 
     frame: str
-    """Id; where a result spans drives, with the drive's name before it."""
+    """As in Comparison."""
     depth: DepthSums
     disparity: DisparitySums | None
     """None where fx * baseline is not known."""
@@ -108,13 +116,8 @@ class Result:
             "ranges": ranges,
             "frames": [asdict(row) | {"metrics": row.metrics()} for row in self.rows],
         }
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
-        try:
-            temporary.write_text(json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n")
-            temporary.replace(path)
-        finally:
-            temporary.unlink(missing_ok=True)
+        text = json.dumps(_without_nan(content), indent=1, allow_nan=False) + "\n"
+        write_bytes(path, text.encode())
 
     @classmethod
     def load(cls, path: Path) -> Self:
@@ -133,57 +136,54 @@ class Result:
         except OSError as error:
             raise ScoreError(f"{path}: cannot be read ({error.strerror}): score first") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            if isinstance(error, ScoreError):
-                raise
             raise ScoreError(f"{path}: expected a metrics file, found damaged or other data: score again") from error
 
 
 def score(
-    frames: Iterable[Scored],
+    frames: Iterable[Comparison],
     protocol: Protocol,
     fx_baseline: float | None = None,
     info: dict[str, Any] | None = None,
-    on_samples: Callable[[Samples], None] | None = None,
+    on_pixels: Callable[[ScoredPixels], None] | None = None,
 ) -> Result:
     """Score frames one at a time: memory does not grow with their number.
 
     Args:
-        frames: id, prediction_m, confidence or None, truth_m of each; made as they are asked for, best of all.
-        protocol: what is scored and how.
+        frames: the maps of each frame; a generator that reads a frame when it is asked for keeps memory small.
+        protocol: which pixels are scored, and how.
         fx_baseline: focal length times baseline, px m, for the disparity metrics; None leaves them out.
         info: what is scored; `prior` is its name in tables.
-        on_samples: gets the scored pixels of each frame.
+        on_pixels: gets the scored pixels of each frame.
 
     Raises:
         ScoreError: a frame's maps differ in size or do not fit the crop.
     """
-    rows = tuple(score_frame(*frame, protocol, fx_baseline, on_samples) for frame in frames)
+    rows = tuple(score_frame(Comparison(*frame), protocol, fx_baseline, on_pixels) for frame in frames)
     return Result(protocol, rows, info or {})
 
 
 def score_frame(
-    frame: str,
-    prediction_m: FloatArray,
-    confidence: FloatArray | None,
-    truth_m: FloatArray,
+    frame: Comparison,
     protocol: Protocol,
     fx_baseline: float | None = None,
-    on_samples: Callable[[Samples], None] | None = None,
+    on_pixels: Callable[[ScoredPixels], None] | None = None,
 ) -> Row:
     """Score one frame; see `score`."""
+    ause: dict[str, float] = {}
     try:
-        ready = protocol.prepare(prediction_m, truth_m)
-        samples = None if confidence is None and on_samples is None else sample(ready, confidence)
-        ause = {} if confidence is None or samples is None else _ause(samples)
+        ready = protocol.prepare(frame.prediction_m, frame.truth_m)
+        if frame.confidence is not None or on_pixels is not None:
+            pixels = scored_pixels(ready, frame.confidence)
+            ause = {} if frame.confidence is None else _ause(pixels)
+            if on_pixels is not None:
+                on_pixels(pixels)
     except ScoreError as error:
-        raise ScoreError(f"frame {frame}: {error}") from error
-    if on_samples is not None and samples is not None:
-        on_samples(samples)
-    seen = ready.truth_m > 0  # a fifth of the image: the rest only counts for density_image
-    p, t, own = ready.prediction_m[seen], ready.truth_m[seen], ready.own[seen]
+        raise ScoreError(f"frame {frame.frame}: {error}") from error
+    true = ready.truth_m > 0  # a fifth of the image: the rest only counts for density_image
+    p, t, own = ready.prediction_m[true], ready.truth_m[true], ready.own[true]
     parts = [(t >= low) & (t < high) for low, high in protocol.bins()]
     return Row(
-        frame,
+        frame.frame,
         replace(DepthSums.over(p, t, own), pixels=ready.own.size, values=int(np.count_nonzero(ready.own))),
         None if fx_baseline is None else DisparitySums.over_depths(p, t, fx_baseline),
         tuple(DepthSums.over(p[part], t[part], own[part]) for part in parts),
@@ -216,15 +216,15 @@ def refuse_to_mix(results: Sequence[Result]) -> None:
             )
 
 
-def _ause(samples: Samples) -> dict[str, float]:
-    return {f"ause_{metric}": curves(samples, metric).ause for metric in ("abs_rel", "rmse")}
+def _ause(pixels: ScoredPixels) -> dict[str, float]:
+    return {f"ause_{metric}": curves(pixels, metric).ause for metric in ("abs_rel", "rmse")}
 
 
 def _mean(rows: Sequence[dict[str, float]]) -> dict[str, float]:
     """Average each key over the rows that have a number for it."""
     columns = {key: [row[key] for row in rows if key in row] for row in rows for key in row}
-    known = {key: [value for value in values if not math.isnan(value)] for key, values in columns.items()}
-    return {key: math.fsum(values) / len(values) if values else math.nan for key, values in known.items()}
+    numbers = {key: [value for value in values if not math.isnan(value)] for key, values in columns.items()}
+    return {key: math.fsum(values) / len(values) if values else math.nan for key, values in numbers.items()}
 
 
 def _read_row(entry: dict[str, Any]) -> Row:

@@ -9,19 +9,20 @@
 d1: Menze and Geiger, CVPR 2015; bad-n: Scharstein and Szeliski, IJCV 2002.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 
-from eval.depth import FloatArray, has_value, ratio_of
+from eval.depth import FloatArray, has_value
+from eval.sums import Sums, ratio_of
 
 D1_PX, D1_SHARE = 3.0, 0.05
 
 
 @dataclass(frozen=True, slots=True)
-class DisparitySums:
-    """What the disparity metrics need to know about any number of pixels; two of them add."""
+class DisparitySums(Sums):
+    """What the disparity metrics need to know about any number of pixels."""
 
     count: int = 0
     abs_px: float = 0.0
@@ -29,9 +30,6 @@ class DisparitySums:
     bad_2: int = 0
     bad_3: int = 0
     d1: int = 0
-
-    def __add__(self, other: "DisparitySums") -> "DisparitySums":
-        return DisparitySums(**{f.name: getattr(self, f.name) + getattr(other, f.name) for f in fields(self)})
 
     @classmethod
     def over(cls, prediction_px: FloatArray, truth_px: FloatArray) -> Self:
@@ -60,7 +58,7 @@ class DisparitySums:
         )
 
     def finish(self) -> dict[str, float]:
-        """Turn sums into the metrics named above; NaN where there is nothing to average."""
+        """Turn the sums into the metrics of the table above."""
         return {
             "epe": ratio_of(self.abs_px, self.count),
             "d1": 100 * ratio_of(self.d1, self.count),

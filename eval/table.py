@@ -7,12 +7,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.table import Table
+from rich.table import Table as RichTable
 
-from eval import sheet as typeset
+from eval import typeset
+from eval.files import write_bytes
 from eval.protocol import ScoreError
 from eval.result import Result, refuse_to_mix
-from eval.sheet import Column, Sheet, lay
+from eval.typeset import Column, Table, lay_out
 
 COLUMNS = {
     "density": Column("density", "%", higher=True, digits=1, scale=100),
@@ -37,15 +38,26 @@ COLUMNS = {
     "ause_abs_rel": Column("AUSE AbsRel", digits=4),
     "ause_rmse": Column("AUSE RMSE", "m"),
 }
-DEPTH = ("density", "abs_rel", "sq_rel", "rmse", "rmse_log", "mae", "delta_1", "delta_2", "delta_3", "density_image")
-USUAL = {
+DEPTH_COLUMNS = (
+    "density",
+    "abs_rel",
+    "sq_rel",
+    "rmse",
+    "rmse_log",
+    "mae",
+    "delta_1",
+    "delta_2",
+    "delta_3",
+    "density_image",
+)
+PROTOCOL_COLUMNS = {
     "kitti-completion": ("density", "rmse", "mae", "irmse", "imae", "abs_rel", "silog", "density_image"),
     "stereo2015": ("density", "epe", "d1", "bad_1", "bad_2", "bad_3", "density_image"),
 }
-"""What a protocol's readers expect to see; DEPTH for all others."""
+"""What the readers of a protocol expect to see; DEPTH_COLUMNS for all others."""
 
 
-def sheet(results: Sequence[Result], keys: Sequence[str] | None = None) -> Sheet:
+def table_of(results: Sequence[Result], keys: Sequence[str] | None = None) -> Table:
     """Lay out results by keys of COLUMNS (None: the protocol's usual ones).
 
     Raises:
@@ -54,42 +66,43 @@ def sheet(results: Sequence[Result], keys: Sequence[str] | None = None) -> Sheet
     if not results:
         raise ScoreError("no results to show: score a prior first")
     refuse_to_mix(results)
-    keys = keys or USUAL.get(results[0].protocol.name, DEPTH)
+    keys = keys or PROTOCOL_COLUMNS.get(results[0].protocol.name, DEPTH_COLUMNS)
     unknown = [key for key in keys if key not in COLUMNS]
     if unknown:
         raise ScoreError(f"no metric {unknown[0]!r}: choose of {', '.join(COLUMNS)}")
     caption = f"{results[0].protocol.describe()}; {counts(results[0])}"
     rows = [((result.name,), result.metrics()) for result in results]
-    return lay(("prior",), {key: COLUMNS[key] for key in keys}, rows, caption, notes(results))
+    return lay_out(("prior",), {key: COLUMNS[key] for key in keys}, rows, caption, notes(results))
 
 
 def counts(result: Result) -> str:
     """Say over how much a result was scored."""
-    return f"{len(result.rows)} frame{'s' * (len(result.rows) != 1)}, {result.sums.truth:,} truth pixels"
+    frames = "1 frame" if len(result.rows) == 1 else f"{len(result.rows)} frames"
+    return f"{frames}, {result.sums.truth:,} truth pixels"
 
 
 def notes(results: Sequence[Result]) -> list[str]:
     """Say what a reader must know before comparing rows: other frames, other truth, other density."""
-    found = []
+    remarks = []
     frames = [{row.frame for row in result.rows} for result in results]
     every = set().union(*frames)
     for result, own in zip(results, frames, strict=True):
         lacking = sorted(every - own)
         if lacking:
             more = f" and {len(lacking) - 1} more" if len(lacking) > 1 else ""
-            found.append(f"{result.name} covers {len(own)} of {len(every)} frames: not {lacking[0]}{more}")
+            remarks.append(f"{result.name} covers {len(own)} of {len(every)} frames: not {lacking[0]}{more}")
     truths = {result.sums.truth for result in results}
-    if not found and len(truths) > 1:
-        found.append(f"same frames, but {min(truths):,} to {max(truths):,} truth pixels: the truth is not the same")
+    if not remarks and len(truths) > 1:
+        remarks.append(f"same frames, but {min(truths):,} to {max(truths):,} truth pixels: the truth is not the same")
     densities = [result.metrics()["density"] for result in results]
     if max(densities) - min(densities) > 0.01:
-        found.append("errors are over each row's own pixels: with other densities, other pixels")
-    return found
+        remarks.append("errors are over each row's own pixels: with other densities, other pixels")
+    return remarks
 
 
-def render(results: Sequence[Result], keys: Sequence[str] | None = None, width: int | None = None) -> Table:
+def render(results: Sequence[Result], keys: Sequence[str] | None = None, width: int | None = None) -> RichTable:
     """Make a rich table; columns that do not fit into width characters are left out, last ones first, and named."""
-    return typeset.render(sheet(results, keys), width)
+    return typeset.render(table_of(results, keys), width)
 
 
 def show(results: Sequence[Result], keys: Sequence[str] | None = None, console: Console | None = None) -> None:
@@ -103,17 +116,17 @@ def show(results: Sequence[Result], keys: Sequence[str] | None = None, console: 
 
 def plain(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:
     """Write aligned text without marks."""
-    return typeset.plain(sheet(results, keys))
+    return typeset.plain(table_of(results, keys))
 
 
 def markdown(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:
     """Write a Markdown table."""
-    return typeset.markdown(sheet(results, keys))
+    return typeset.markdown(table_of(results, keys))
 
 
 def latex(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:
     """Write a LaTeX table; needs the booktabs package."""
-    return typeset.latex(sheet(results, keys))
+    return typeset.latex(table_of(results, keys))
 
 
 def as_csv(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:
@@ -147,5 +160,4 @@ def save(results: Sequence[Result], path: Path) -> None:
     """
     if path.suffix not in WRITERS:
         raise ScoreError(f"{path}: expected a table ending in {', '.join(WRITERS)}")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(WRITERS[path.suffix](results))
+    write_bytes(path, WRITERS[path.suffix](results).encode())

@@ -13,9 +13,9 @@ from torch import Tensor
 from nerf import fields
 from nerf.config import ModelConfig
 from nerf.model import Model
-from nerf.sample import SamplerConfig
 from priors.codecs import write_bytes
 from priors.errors import DataError
+from priors.records import restore
 
 NAME = "checkpoint.safetensors"
 FORMAT = "1"
@@ -52,12 +52,12 @@ def resume(run: Path, model: Model) -> Spent:
         model.load(state)
     except ValueError as error:
         raise DataError(f"{run / NAME}: made with other settings ({error}): use another --run, or delete it") from error
-    return Spent(**json.loads(metadata["progress"]))
+    return restore(Spent, json.loads(metadata["progress"]))
 
 
 def spent(run: Path) -> Spent:
     """Return how much a run's checkpoint has spent; nothing where there is none."""
-    return Spent(**json.loads(_read(run)[1]["progress"])) if (run / NAME).exists() else Spent()
+    return restore(Spent, json.loads(_read(run)[1]["progress"])) if (run / NAME).exists() else Spent()
 
 
 def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
@@ -68,8 +68,7 @@ def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
     """
     state, metadata = _read(run)
     try:
-        settings = json.loads(metadata["config"])
-        config = ModelConfig(**settings | {"sampler": SamplerConfig(**settings["sampler"])})
+        config = restore(ModelConfig, json.loads(metadata["config"]))
         record = {name: json.loads(text) for name, text in metadata.items() if name not in _OURS}
         return fields.family(config.family).open(config, record, state, str(device))
     except (ValueError, KeyError, TypeError) as error:

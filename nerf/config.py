@@ -3,10 +3,10 @@
 import math
 from dataclasses import dataclass, field
 
-from nerf.checks import expect
 from nerf.losses import LossConfig
 from nerf.optimise import OptimiserConfig
 from nerf.sample import SamplerConfig
+from priors.errors import expect
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class ModelConfig:
     def __post_init__(self) -> None:
         expect(4 <= self.log2_size <= 24, "log2_size", self.log2_size, "4 to 24")
         expect(16 <= self.finest <= 1 << 20, "finest", self.finest, "16 to 2^20 cells")
-        expect(self.width in range(16, 129, 16), "width", self.width, "16, 32, 48, ..., 128 neurons")
+        expect(self.width in range(16, 129, 16), "--width", self.width, "16, 32, 48, ..., 128 neurons")
 
 
 @dataclass(frozen=True)
@@ -46,11 +46,11 @@ class FitConfig:
     """Decides weights, rays and sample positions."""
 
     def __post_init__(self) -> None:
-        expect(self.rays >= 1, "rays", self.rays, "1 or more")
-        expect(self.steps is None or self.steps >= 1, "steps", self.steps, "1 or more")
+        expect(self.rays >= 1, "--rays", self.rays, "1 or more")
+        expect(self.steps is None or self.steps >= 1, "--steps", self.steps, "1 or more")
         timed = self.seconds is not None and 0 < self.seconds < math.inf
-        expect(timed or (self.seconds is None and self.steps is not None), "seconds", self.seconds, "more than 0")
-        expect(0 <= self.seed < 1 << 63, "seed", self.seed, "0 or more")
+        expect(timed or (self.seconds is None and self.steps is not None), "--time", self.seconds, "more than 0")
+        expect(0 <= self.seed < 1 << 63, "--seed", self.seed, "0 or more")
 
     def progress(self, step: int, elapsed_s: float) -> float:
         """Return the spent share of the budget, [0, 1]: of the steps where they are given, else of the time."""

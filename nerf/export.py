@@ -13,13 +13,14 @@ from eval.image import as_uint8
 from nerf.types import OPAQUE, Render, RenderedView
 from priors import codecs
 from priors.errors import DataError
+from priors.export import triangles
+from priors.export.triangles import Triangles
 from priors.geometry import invert, rays
 from priors.types import Camera, Depth, FloatMap, Matrix
 
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 )  # fmt: skip
-MESHES = (".ply", ".obj", ".glb")
 BLOCK_VOXELS, FIRST_BLOCKS, TRUNCATION_VOXELS = 16, 10_000, 4.0
 Points: TypeAlias = npt.NDArray[np.void]
 Poses = npt.NDArray[np.float64]
@@ -56,7 +57,8 @@ def write_cloud(
     Raises:
         DataError: the path does not end in .ply.
     """
-    _check_name(path, (".ply",))
+    if path.suffix.lower() != ".ply":
+        raise DataError(f"{path}: expected a name that ends in .ply")
     kept, depth_m = np.zeros(0, POINT), np.zeros(0, np.float32)
     for pose in T_world_cam:
         points, points_m = view_points(render(pose, camera), camera, pose, config)
@@ -117,13 +119,15 @@ def write_mesh(
     Raises:
         DataError: the path ends in none of these, open3d cannot be imported, or the views hold no surface.
     """
-    _check_name(path, MESHES)
+    triangles.check_name(path)
     open3d = _open3d()
     image, matrix, float32 = open3d.t.geometry.Image, open3d.core.Tensor, open3d.core.float32
     grid = open3d.t.geometry.VoxelBlockGrid(
-        ("tsdf", "weight", "color"), (float32,) * 3, (1, 1, 3), config.voxel_m, BLOCK_VOXELS, FIRST_BLOCKS
+        ("tsdf", "weight", "color"), (float32,) * 3, (1, 1, 3), float(config.voxel_m), BLOCK_VOXELS, FIRST_BLOCKS
     )
-    K, limits = matrix(camera.K), (1.0, config.farthest_m, TRUNCATION_VOXELS)  # a depth unit, metres
+    # open3d cuts a point's pixel off to whole numbers: its pixels' centres are at (0.5, 0.5), ours at (0, 0).
+    K = matrix(camera.K + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]))
+    limits = 1.0, float(config.farthest_m), TRUNCATION_VOXELS  # depth units a metre; open3d takes no int
     fused = 0
     for pose in T_world_cam:
         view = render(pose, camera)
@@ -135,16 +139,22 @@ def write_mesh(
             grid.integrate(blocks, depth, rgb, K, K, extrinsic, *limits)
             fused += 1
         on_view()
-    if not fused:
+    mesh = _triangles(grid) if fused else None
+    if mesh is None or not len(mesh.faces):
         raise DataError(
             f"{path}: no surface in {len(T_world_cam)} views within {config.farthest_m:g} m: nothing to write"
         )
-    mesh = grid.extract_triangle_mesh(weight_threshold=0.5).to_legacy()  # one view is enough
+    triangles.write_triangles(path, mesh)
+    return len(mesh.faces)
+
+
+def _triangles(grid: Any) -> Triangles:
+    """Take the surface out of open3d's volume."""
+    mesh = grid.extract_triangle_mesh(weight_threshold=0.5)  # one view is enough
     mesh.compute_vertex_normals()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not open3d.io.write_triangle_mesh(str(path), mesh):
-        raise DataError(f"{path}: open3d could not write it: is the disk full?")
-    return len(mesh.triangles)
+    vertex = {name: mesh.vertex[name].numpy() for name in ("positions", "normals", "colors")}
+    colours = np.rint(255 * np.clip(vertex["colors"], 0, 1)).astype(np.uint8)
+    return Triangles(vertex["positions"], vertex["normals"], colours, mesh.triangle.indices.numpy())
 
 
 def _open3d() -> Any:
@@ -156,12 +166,6 @@ def _open3d() -> Any:
             f"a mesh needs open3d, which cannot be imported ({error}): pip install 'roadprior[mesh]' and "
             "apt-get install libusb-1.0-0 libgl1; a point cloud needs neither"
         ) from error
-
-
-def _check_name(path: Path, suffixes: tuple[str, ...]) -> None:
-    """Refuse a file's name before anything is rendered."""
-    if path.suffix.lower() not in suffixes:
-        raise DataError(f"{path}: expected a name that ends in {' or '.join(suffixes)}")
 
 
 def _solid_depth(view: RenderedView, config: CloudConfig) -> Depth:

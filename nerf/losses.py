@@ -17,16 +17,20 @@ prior's standard deviation (metres, max(sigma_floor_m, sigma_share * d)):
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Literal
 
 import torch
 from torch import Tensor
 
-from nerf.checks import expect
 from nerf.kernels import RenderKernels, kernels_for
 from nerf.types import Gradients, Rays, Rendered, Samples, Target
+from priors.errors import expect, expect_choices
 
 DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 @dataclass(frozen=True)
@@ -53,14 +57,14 @@ class LossConfig:
     """Weight of the light that passes rays where the prior has a surface."""
 
     def __post_init__(self) -> None:
-        expect(self.loss in get_args(DepthLoss), "loss", self.loss, f"one of {', '.join(get_args(DepthLoss))}")
+        expect_choices(self, "")
         for name in ("depth_weight", "sigma_share", "distortion", "opacity"):
             value = getattr(self, name)
-            expect(0 <= value < math.inf, name, value, "0 or more")
+            expect(0 <= value < math.inf, _flag(name), value, "0 or more")
         for name in ("unit_m", "sigma_floor_m"):
             value = getattr(self, name)
-            expect(0 < value < math.inf, name, value, "more than 0 m")
-        expect(0 <= self.trim < 1, "trim", self.trim, "a share from 0 to less than 1")
+            expect(0 < value < math.inf, _flag(name), value, "more than 0 m")
+        expect(0 <= self.trim < 1, "--trim", self.trim, "a share from 0 to less than 1")
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nerf.checks import expect
 from nerf.kernels import FieldKernels, kernels_for
 from nerf.state import copy_into
+from priors.errors import expect
 
 
 @dataclass(frozen=True, slots=True)

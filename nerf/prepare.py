@@ -20,11 +20,11 @@ import numpy.typing as npt
 from nerf.scene import Scene
 from nerf.split import split
 from nerf.stack import Stack, StackWriter
-from priors.build import select
 from priors.cache import Prior
 from priors.codecs import write_bytes
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.selection import select
 from priors.types import Camera, Depth, Drive
 
 LARGEST_STEP_M = 30.0

@@ -23,7 +23,7 @@ from eval.depth import DepthSums
 from eval.image import ImageScore, mean
 from eval.lpips import HOW_TO_GET, Lpips
 from eval.protocol import Protocol, ScoreError, preset
-from eval.result import Result, Row, score_frame
+from eval.result import Comparison, Result, Row, score_frame
 from nerf.pictures import KEPT, picture_path, save_error, save_view
 from nerf.scene import Scene
 from nerf.truths import Truths
@@ -236,7 +236,7 @@ class _Scorer:
         try:
             score = ImageScore.over(view.rgb, image)
             rows = [
-                None if truth is None else score_frame(id_, depth_m, None, truth.depth_m, self.rules)
+                None if truth is None else score_frame(Comparison(id_, depth_m, None, truth.depth_m), self.rules)
                 for depth_m in (view.depth_m, view.median_m)
             ]
         except ScoreError as error:

@@ -7,10 +7,10 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import json
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any
 
 from eval.lpips import Lpips
 from nerf import checkpoint
@@ -30,12 +30,12 @@ from priors.errors import DataError
 from priors.filters import Filters
 from priors.machine import threads
 from priors.machine.device import pick_device
+from priors.records import restore
 from priors.types import Drive
 
 FORMAT = 1
 SCENES = ".scenes"
 """Folder beside the runs that holds their prepared arrays, shared by all of them."""
-Made = TypeVar("Made")
 
 
 @dataclass(frozen=True)
@@ -202,33 +202,13 @@ def open_run(folder: Path) -> Run:
         record = json.loads(path.read_text())
         if record.pop("format") != FORMAT:
             raise DataError(f"{path}: a run of another format: train again")
-        return Run(folder, rebuild(RunConfig, record))
+        return Run(folder, restore(RunConfig, record))
     except FileNotFoundError as error:
         raise DataError(
             f"{path}: no such file: not a run's folder (`nerf fit DATA --run {folder}` makes one)"
         ) from error
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path}: damaged ({error}): train again") from error
-
-
-def rebuild(kind: type[Made], record: dict[str, Any]) -> Made:
-    """Make a dataclass of what asdict made of it; what an earlier version did not have yet takes its default.
-
-    Raises:
-        TypeError: a value without a default is missing, or there is one that this version does not know.
-    """
-    hints = get_type_hints(kind)
-    unknown = record.keys() - hints.keys()
-    if unknown:
-        raise TypeError(f"{min(unknown)} is not known to this version")
-    values = {}
-    for each in fields(kind):  # type: ignore[arg-type]
-        if each.name not in record:
-            continue
-        value = record[each.name]
-        nested = hints[each.name]
-        values[each.name] = rebuild(nested, value) if isinstance(nested, type) and is_dataclass(nested) else value
-    return kind(**values)
 
 
 def _comparable(config: RunConfig) -> dict[str, Any]:

@@ -14,12 +14,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf.checks import expect
 from nerf.kernels import SampleKernels, kernels_for
 from nerf.occupancy import Occupancy
 from nerf.space import Space
 from nerf.twin import space as twin
 from nerf.types import Course, Histogram, Key, Rays, Samples
+from priors.errors import expect
 
 _SHIFTS, _UNGUIDED = 1, 2
 """Which stream of random numbers a key opens; stream 0 draws the rays."""
@@ -47,12 +47,12 @@ class SamplerConfig:
     """Prior values of less confidence than this carve and guide nothing; the losses weigh them as they do all."""
 
     def __post_init__(self) -> None:
-        expect(self.count >= 2, "count", self.count, "2 samples or more")
-        expect(self.free >= 1, "free", self.free, "1 candidate or more")
-        expect(self.render >= 1, "render", self.render, "1 candidate or more")
-        expect(0 < self.reach < np.inf, "reach", self.reach, "more than 0, a share of the depth")
-        expect(0 <= self.unguided <= 1, "unguided", self.unguided, "a share from 0 to 1")
-        expect(0 <= self.trust <= 1, "trust", self.trust, "a confidence from 0 to 1")
+        expect(self.count >= 2, "--count", self.count, "2 samples or more")
+        expect(self.free >= 1, "--free", self.free, "1 candidate or more")
+        expect(self.render >= 1, "--render", self.render, "1 candidate or more")
+        expect(0 < self.reach < np.inf, "--reach", self.reach, "more than 0, a share of the depth")
+        expect(0 <= self.unguided <= 1, "--unguided", self.unguided, "a share from 0 to 1")
+        expect(0 <= self.trust <= 1, "--trust", self.trust, "a confidence from 0 to 1")
 
 
 @dataclass(frozen=True)

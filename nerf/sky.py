@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from nerf.checks import expect
+from priors.errors import expect
 
 
 @dataclass(frozen=True, slots=True)

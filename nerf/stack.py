@@ -6,8 +6,7 @@ random pixels map hundreds of megabytes. So only small files are mapped: of larg
 """
 
 import os
-import time
-import uuid
+from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -15,10 +14,10 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from eval.files import drop_stale, replacing
+
 SMALL_BYTES = 256 * 2**20
 """Files up to this are mapped."""
-STALE_S = 3600.0
-"""Age at which a half-written file is taken to be a killed run's."""
 
 
 class Stack:
@@ -61,18 +60,17 @@ class StackWriter:
 
     def __init__(self, path: Path, shape: tuple[int, ...], dtype: npt.DTypeLike) -> None:
         self._path, self._shape, self._dtype = path, shape, np.dtype(dtype)
-        self._temporary = path.with_name(f".{path.name}.{os.getpid()}.{uuid.uuid4().hex[:8]}")
         self.written = 0
         """Frames so far."""
 
     def __enter__(self) -> Self:
-        self._path.parent.mkdir(parents=True, exist_ok=True)
-        for old in self._path.parent.glob(f".{self._path.name}.*"):  # what a kill left behind
-            if time.time() - old.stat().st_mtime > STALE_S:
-                old.unlink(missing_ok=True)
-        self._file = self._temporary.open("wb")
+        drop_stale(self._path.parent, f".{self._path.stem}.*")
         header = {"descr": self._dtype.str, "fortran_order": False, "shape": self._shape}
-        np.lib.format.write_array_header_1_0(self._file, header)
+        with ExitStack() as opened:
+            temporary = opened.enter_context(replacing(self._path))
+            self._file = opened.enter_context(temporary.open("wb"))
+            np.lib.format.write_array_header_1_0(self._file, header)
+            self._closing = opened.pop_all()
         return self
 
     def add(self, frame: npt.NDArray[Any] | int) -> None:
@@ -83,15 +81,8 @@ class StackWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        try:
-            self._file.close()  # the last bytes are written here
-            if kind is None and self.written != self._shape[0]:
+        with self._closing:  # the file's last bytes are written, then it is renamed
+            if error is not None:
+                raise error
+            if self.written != self._shape[0]:
                 raise ValueError(f"{self._path}: {self.written} of {self._shape[0]} frames written")
-            if kind is None:
-                self._temporary.replace(self._path)
-        except OSError as late:
-            raise OSError(late.errno, late.strerror, str(self._path)) from late
-        finally:
-            self._temporary.unlink(missing_ok=True)
-        if isinstance(error, OSError) and error.filename is None:
-            raise OSError(error.errno, error.strerror, str(self._path)) from error

@@ -26,6 +26,7 @@ from nerf.run import RunConfig, claim
 from priors import cache
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.records import upgrade
 from priors.types import Drive
 
 NONE = "none"
@@ -226,7 +227,10 @@ def _done(folder: Path, config: dict[str, Any]) -> Report | None:
         report = Report.load(folder / "metrics.json")
     except DataError:
         return None
-    return report if report.info.get("config") == config else None
+    told = report.info.get("config")
+    if isinstance(told, dict) and isinstance(told.get("spec"), dict):  # fields may have been renamed since
+        told = told | {"spec": upgrade(RunSpec, told["spec"])}
+    return report if told == config else None
 
 
 def _outcome(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:

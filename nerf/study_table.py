@@ -1,7 +1,8 @@
 """Table of a study, in the shape of the paper's: one row a choice, one figure a column; and its density curve.
 
 <study>/table.md .tex .csv .txt
-       /density.png       PSNR against the share of the prior's values kept, where that varies
+       /report.html            the same as a page, with the plots
+       /density.png .svg .pdf  PSNR against the share of the prior's values kept, where that varies
 """
 
 import csv
@@ -13,16 +14,18 @@ from pathlib import Path
 
 import numpy as np
 
-from eval import sheet
+from eval import typeset
 from eval.protocol import ScoreError
 from eval.result import refuse_to_mix
-from eval.sheet import Column, Sheet
+from eval.typeset import Column, Table
 from nerf.report import Report
 from nerf.study import NONE, SHARES, Outcome, RunSpec
 from priors import cache, codecs
-from priors.draw.plot import Line, plot
+from priors.draw import lines
+from priors.draw.lines import Line, Plot
 from priors.errors import DataError
 from priors.naming import labels
+from priors.report.page import Figure, Page, Section
 
 COLUMNS = {
     "psnr": Column("PSNR", "dB", higher=True, digits=2),
@@ -40,7 +43,7 @@ _CHOICES = ("loss", *SHARES, "truth_mask")
 _HEADS = {"truth_mask": "pixels"}
 
 
-def lay_out(outcomes: Sequence[Outcome]) -> Sheet:
+def lay_out(outcomes: Sequence[Outcome]) -> Table:
     """Lay out a study's table: a row a choice, means over seeds, ranked among one field's same views.
 
     Raises:
@@ -70,7 +73,7 @@ def lay_out(outcomes: Sequence[Outcome]) -> Sheet:
     first = made[0][1]
     caption = "; ".join([first.protocol.describe(), f"{len(first.frames)} held-out views", *fixed])
     heads = (*LEAD, *(_HEADS.get(key, key) for key in varied))
-    return sheet.lay(heads, present, rows, caption, _notes(outcomes, groups), group=2)
+    return typeset.lay_out(heads, present, rows, caption, _notes(outcomes, groups), group=2)
 
 
 def commands(outcomes: Sequence[Outcome], command: str) -> list[str]:
@@ -80,24 +83,37 @@ def commands(outcomes: Sequence[Outcome], command: str) -> list[str]:
 
 
 def save(outcomes: Sequence[Outcome], folder: Path, command: str) -> list[Path]:
-    """Write the table in four formats, each with its commands, and the density figure; returns the files."""
+    """Write the table in four formats and as a page, each with its commands, and the plots; returns the files."""
     laid, typed = lay_out(outcomes), commands(outcomes, command)
     texts = {
-        ".md": sheet.markdown(laid) + "\n```bash\n" + "\n".join(typed) + "\n```\n",
-        ".tex": "".join(f"% {line}\n" for line in typed) + sheet.latex(laid),
-        ".txt": sheet.plain(laid) + "".join(f"$ {line}\n" for line in typed),
+        ".md": typeset.markdown(laid) + "\n```bash\n" + "\n".join(typed) + "\n```\n",
+        ".tex": "".join(f"% {line}\n" for line in typed) + typeset.latex(laid),
+        ".txt": typeset.plain(laid) + "".join(f"$ {line}\n" for line in typed),
         ".csv": as_csv(outcomes),
     }
     paths = [folder / f"table{suffix}" for suffix in texts]
     for path, text in zip(paths, texts.values(), strict=True):
         codecs.write_bytes(path, text.encode())
+    plots = density_plots(outcomes)
+    for path in [folder / f"density{suffix}" for suffix in (".png", ".svg", ".pdf") if plots]:
+        lines.write(path, plots)
+        paths.append(path)
+    figures = [Figure(plots)] if plots else []
+    sections = [
+        Section("Figures", table=laid),
+        Section("PSNR over the density of the prior", figures=figures),
+        Section("How it was made", commands=typed),
+    ]
+    lead = f"{len(outcomes)} runs, scored on views that no run was trained on."
+    Page(f"Study {folder.resolve().name}", lead, sections).write(folder / "report.html")
+    return [*paths, folder / "report.html"]
+
+
+def density_plots(outcomes: Sequence[Outcome]) -> list[Plot]:
+    """Make the plots of `density_curves`."""
+    x_label, y_label = "share of the prior's values kept, %", "PSNR, dB"
     curves = density_curves(outcomes)
-    if curves:
-        paths.append(folder / "density.png")
-        x_label, y_label = "share of the prior's values kept, %", "PSNR, dB"
-        plots = [plot(lines, x_label, y_label, title, from_zero=False) for title, lines in curves.items()]
-        codecs.write_image(paths[-1], np.concatenate(plots))
-    return paths
+    return [Plot(drawn, x_label, y_label, title, from_zero=False) for title, drawn in curves.items()]
 
 
 def as_csv(outcomes: Sequence[Outcome]) -> str:

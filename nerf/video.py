@@ -1,17 +1,16 @@
 """Video along the drive's path: colour over depth, the camera gliding between the frames' poses."""
 
-import uuid
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from eval.image import as_uint8
 from nerf.types import Render
 from priors.draw.colours import colour_depth
+from priors.draw.mp4 import write_mp4
 from priors.errors import DataError
 from priors.types import Camera, Image
 
@@ -64,7 +63,7 @@ def write_video(
         How many pictures it has. The file is renamed into place when all are written.
 
     Raises:
-        DataError: the path does not end in .mp4, or OpenCV cannot write videos here.
+        DataError: the path does not end in .mp4, or there are no poses.
     """
     config = config or VideoConfig()
     poses = interpolate(T_world_cam, config.steps)
@@ -74,41 +73,10 @@ def write_video(
             yield picture(render, pose, camera)
             on_picture()
 
-    write_pictures(path, pictures(), config.fps)
-    return len(poses)
+    return write_mp4(path, pictures(), config.fps)
 
 
 def picture(render: Render, pose: npt.NDArray[np.float64], camera: Camera) -> Image:
-    """Render colour over depth: (2 height, width, 3), each side even, as the codec needs it."""
+    """Render colour over depth: (2 height, width, 3)."""
     view = render(pose, camera)
-    both = np.concatenate([as_uint8(view.rgb), colour_depth(view.solid().depth_m)])
-    return np.pad(both, ((0, 0), (0, both.shape[1] % 2), (0, 0)), mode="edge")
-
-
-def write_pictures(path: Path, pictures: Iterator[Image], fps: float) -> None:
-    """Write RGB pictures of one even size as an MP4 file (MPEG-4 part 2), atomically."""
-    if path.suffix != ".mp4":
-        raise DataError(f"{path}: expected a name that ends in .mp4")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{uuid.uuid4().hex[:8]}.mp4")
-    writer = None
-    try:
-        count = 0
-        for rgb in pictures:
-            if writer is None:
-                code = cv2.VideoWriter.fourcc(*"mp4v")
-                writer = cv2.VideoWriter(str(temporary), code, fps, (rgb.shape[1], rgb.shape[0]))
-                if not writer.isOpened():
-                    raise DataError(f"{path}: this OpenCV cannot write MP4: install opencv-contrib-python-headless")
-            writer.write(np.ascontiguousarray(rgb[..., ::-1]))
-            count += 1
-        if writer is None:
-            raise DataError(f"{path}: no pictures to write")
-        writer.release()
-        if cv2.VideoCapture(str(temporary)).get(cv2.CAP_PROP_FRAME_COUNT) != count:  # OpenCV tells no write errors
-            raise DataError(f"{path}: the video was not written whole: is the disk full?")
-        temporary.replace(path)
-    finally:
-        if writer is not None:
-            writer.release()
-        temporary.unlink(missing_ok=True)
+    return np.concatenate([as_uint8(view.rgb), colour_depth(view.solid().depth_m)])

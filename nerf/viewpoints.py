@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from priors.build import select
 from priors.errors import DataError
+from priors.selection import select
 from priors.types import Camera, Drive
 
 

@@ -5,13 +5,11 @@
                                 /confidence/<id>.png    uint16, confidence x 65535 (8 bits are read too)
                                 /frames.jsonl           one line a computed frame: seconds, density, range
 
-The key is a hash of everything that decides what the maps hold, so a changed parameter is another folder and never
-an old map. A depth file is the mark that its frame is done: it is renamed into place last.
+The key (priors/keys.py) is a hash of everything that decides what the maps hold, so a changed parameter is another
+folder and never an old map. A depth file is the mark that its frame is done: it is renamed into place last.
 """
 
-import hashlib
 import json
-import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,25 +17,23 @@ from typing import Any
 
 import numpy as np
 
+from eval import files
 from priors import codecs
 from priors.errors import DataError
 from priors.types import Depth
 
 FORMAT = 1
-KEY_LENGTH = 10
-STALE_S = 3600.0
+FIRST_VERSION = 1
+"""Of every method, in manifests of the time when the package's version stood for it."""
 _PNG_END = b"IEND\xaeB`\x82"
-
-
-def key_of(parts: dict[str, Any]) -> str:
-    """Hash what decides a cache's content; the order of the entries does not matter."""
-    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()[:KEY_LENGTH]
 
 
 @dataclass(frozen=True)
 class Prior:
-    """One method with one config applied to one drive: a folder of the cache."""
+    """One method with one config applied to one drive: a folder of the cache.
+
+    Where an earlier version made it, the manifest's config may have fields' earlier names (priors/records.py).
+    """
 
     folder: Path
     manifest: dict[str, Any]
@@ -101,9 +97,7 @@ class Prior:
 
     def drop_stale(self) -> None:
         """Delete temporary files that a kill left behind, once no other machine can still be writing them."""
-        for path in self.folder.rglob(".*"):
-            if path.is_file() and time.time() - path.stat().st_mtime > STALE_S:
-                path.unlink(missing_ok=True)
+        files.drop_stale(self.folder)
 
     def lines(self) -> dict[str, dict[str, Any]]:
         """Return frames.jsonl by frame id: the newest line of each; a line cut off by a kill is left out."""
@@ -127,12 +121,12 @@ def describe(depth: Depth) -> dict[str, float | None]:
     return {"density": round(depth.density, 5), "min_m": low, "median_m": middle, "max_m": high}
 
 
-def create(cache: Path, manifest: dict[str, Any]) -> Prior:
-    """Open the prior that the manifest describes, making its folder where there is none.
+def create(folder: Path, manifest: dict[str, Any]) -> Prior:
+    """Open the prior of a folder, making it where there is none, and write its manifest.
 
-    An existing manifest of another format is refused; of the same key it is rewritten (a drive may have moved).
+    An existing manifest of another format is refused; any other is rewritten: a drive may have moved, or fields may
+    have been renamed since.
     """
-    folder = cache / manifest["drive"]["name"] / f"{manifest['method']}-{manifest['key']}"
     path = folder / "manifest.json"
     if path.exists():
         load(folder)
@@ -153,7 +147,7 @@ def load(folder: Path) -> Prior:
         raise DataError(f"{path}: damaged manifest: delete {folder} and build it again") from error
     if found != FORMAT:
         raise DataError(f"{path}: cache format {found}, this version reads {FORMAT}: delete {folder}, build it again")
-    return Prior(folder, manifest)
+    return Prior(folder, {"version": FIRST_VERSION, **manifest})
 
 
 def find(path: Path) -> list[Prior]:

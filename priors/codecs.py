@@ -10,11 +10,8 @@
 """
 
 import io
-import os
-import uuid
 import zipfile
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +19,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from eval.files import write_atomically as write_atomically
+from eval.files import write_bytes as write_bytes
 from priors.errors import DataError
 from priors.types import FloatMap, Image
 
@@ -29,28 +28,6 @@ PNG_SCALE = {"kitti": 256.0, "mm": 1000.0}
 FARTHEST_M = 250.0
 """The farthest that methods answer: what a kitti depth PNG holds, less a little."""
 LARGEST_CODE = 65535
-
-
-def write_atomically(path: Path, write: Callable[[Path], None]) -> None:
-    """Let `write` fill a temporary file beside path, then rename it: a kill leaves the old file or the new one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.{uuid.uuid4().hex[:8]}{path.suffix}")
-    try:
-        write(temporary)
-        temporary.replace(path)
-    except OSError as error:  # a full disk's names no file
-        raise OSError(error.errno, error.strerror, str(path)) from error
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def write_bytes(path: Path, data: bytes) -> None:
-    """Write a file atomically."""
-    write_atomically(path, lambda temporary: _ignore(temporary.write_bytes(data)))
-
-
-def _ignore(_: object) -> None:
-    return None
 
 
 def read_image(path: Path) -> Image:
@@ -65,17 +42,22 @@ def read_image(path: Path) -> Image:
 
 def write_image(path: Path, image: Image, quality: int = 95) -> None:
     """Write an 8-bit RGB or grey image; the suffix (.png, .jpg) names the format."""
+    write_bytes(path, encode_image(path, image, quality))
+
+
+def encode_image(path: Path, image: Image, quality: int = 95) -> bytes:
+    """Return the bytes of an image's file; path's suffix names the format, and errors name the path."""
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if path.suffix.lower() in (".jpg", ".jpeg") else []
     pixels = image if image.ndim == 2 else image[..., ::-1]
-    write_bytes(path, _encode(path, pixels, options))
+    return _encode(path, pixels, options)
 
 
 def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:
     """Read a uint16 depth (metres) or disparity (px) PNG: float32 (height, width), 0 = no value."""
     codes = _decode(path, cv2.IMREAD_UNCHANGED)
     if codes.dtype != np.uint16 or codes.ndim != 2:
-        found = f"{codes.dtype} with shape {codes.shape}"
-        raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {found}: is this a colour map?")
+        kind = f"{codes.dtype} with shape {codes.shape}"
+        raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {kind}: is this a colour map?")
     return codes.astype(np.float32) / np.float32(PNG_SCALE[encoding])
 
 

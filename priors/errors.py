@@ -1,12 +1,36 @@
-"""The errors a user is meant to read."""
+"""The errors that a user reads: DataError, and UsageError where a command was called wrongly."""
 
+from dataclasses import fields
+from typing import Literal, get_args, get_origin
 
-class DataError(Exception):
-    """Bad data, told in one line: what was expected, what was found, what to do.
-
-    The command line prints it without a traceback and exits 1.
-    """
+from eval.errors import DataError as DataError
 
 
 class UsageError(DataError):
     """A command that was called wrongly; the command line exits 2."""
+
+
+def expect(holds: bool, flag: str, value: object, wanted: str) -> None:
+    """Raise DataError unless a setting's condition holds: '--lidar.sweeps 0: expected 1 or more'.
+
+    Args:
+        holds: the condition; write it so that NaN makes it false.
+        flag: the setting as the command line has it.
+        value: what was given.
+        wanted: what would be right.
+    """
+    if not holds:
+        raise DataError(f"{flag} {value}: expected {wanted}")
+
+
+def expect_choices(config: object, prefix: str) -> None:
+    """Raise DataError where a field of a config dataclass is not one of its type's literals.
+
+    The command line checks this itself; a config that is made in Python has no other guard.
+    """
+    for field in fields(config):  # type: ignore[arg-type]
+        choices = get_args(field.type) if get_origin(field.type) is Literal else ()
+        value = vars(config)[field.name]
+        if choices and value not in choices:
+            flag = f"--{prefix}{field.name.replace('_', '-')}"
+            raise DataError(f"{flag} {value}: expected one of {', '.join(map(str, choices))}")

@@ -13,9 +13,11 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from priors.errors import DataError
+from priors.errors import DataError, expect, expect_choices
 from priors.geometry import convert_disparity
-from priors.types import Depth, FloatMap, Frame
+from priors.pairs.matching import quick_match
+from priors.pairs.read import read_pair
+from priors.types import Depth, FloatMap, Frame, Input
 
 
 class Filter(Protocol):
@@ -164,17 +166,12 @@ class LeftRight:
 
     def __call__(self, depth: Depth, frame: Frame) -> Depth:
         """Invalidate what the other view does not confirm."""
-        from priors.pairs.matching import quick_match
-
-        this, other = frame.image(), frame.other()
+        pair = read_pair(frame)
         if frame.baseline_m is None:
             raise DataError(f"frame {frame.id}: the stereo baseline is not known: leave out --left-right")
         disparity_px = convert_disparity(depth.depth_m, frame.camera.fx, frame.baseline_m)
-        if frame.side == "right":
-            return keep_agreeing(depth, quick_match(other, this), disparity_px, +1, self.most_px)
-        # Mirrored, the right image is the left eye of a pair.
-        mirrored_px = quick_match(np.ascontiguousarray(other[:, ::-1]), np.ascontiguousarray(this[:, ::-1]))
-        return keep_agreeing(depth, mirrored_px[:, ::-1], disparity_px, -1, self.most_px)
+        shift = -1 if frame.side == "left" else +1
+        return keep_agreeing(depth, pair.swapped().match(quick_match), disparity_px, shift, self.most_px)
 
 
 @dataclass(frozen=True)
@@ -239,16 +236,17 @@ class Filters:
     """Which values --density draws."""
 
     def __post_init__(self) -> None:
-        for name in ("sky_rows", "confidence", "keep", "density"):
-            self._need(name, 0, 1)
-        for name in ("clip", "left_right"):
-            self._need(name, 0, math.inf)
-
-    def _need(self, name: str, least: float, most: float) -> None:
-        value = getattr(self, name)
-        if value is not None and not least <= value <= most:
-            flag = "--" + name.replace("_", "-")
-            raise DataError(f"{flag} {value}: expected a number from {least} to {most}")
+        expect_choices(self, "")
+        shares = {
+            "--sky-rows": self.sky_rows,
+            "--confidence": self.confidence,
+            "--keep": self.keep,
+            "--density": self.density,
+        }
+        for flag, share in shares.items():
+            expect(share is None or 0 <= share <= 1, flag, share, "a number from 0 to 1")
+        for flag, most in {"--clip": self.clip, "--left-right": self.left_right}.items():
+            expect(most is None or most >= 0, flag, most, "a number, 0 or more")
 
     def steps(self) -> Sequence[Filter]:
         """Return the active filters in the order of application."""
@@ -271,9 +269,13 @@ class Filters:
         return {type(step).__name__: asdict(step) for step in self.steps()}  # type: ignore[call-overload]
 
     @property
-    def reads(self) -> tuple[str, ...]:
+    def reads(self) -> tuple[Input, ...]:
         """Return what a frame must have for the active filters: image, truth, other."""
-        needs = {"image": self.sky == "mask", "truth": self.truth_mask, "other": self.left_right is not None}
+        needs: dict[Input, bool] = {
+            "image": self.sky == "mask",
+            "truth": self.truth_mask,
+            "other": self.left_right is not None,
+        }
         return tuple(what for what, needed in needs.items() if needed)
 
     def __call__(self, depth: Depth, frame: Frame) -> Depth:

@@ -1,14 +1,13 @@
 """What to call priors in tables and pictures: the method and what is not usual about it."""
 
-import json
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 from priors import methods
 from priors.cache import Prior
+from priors.records import Record, record, upgrade
 
 
 def labels(priors: Sequence[Prior]) -> list[str]:
@@ -25,8 +24,7 @@ def label(prior: Prior, decided: bool = False) -> str:
 
     Settings that are 'auto' by default and were decided for the drive are named where `decided` is True.
     """
-    usual = _defaults(prior.method)
-    config: dict[str, Any] = prior.manifest.get("config", {})
+    usual, config = _usual_and_own(prior)
     settings = [
         f"{name}={_short(value)}"
         for name, value in config.items()
@@ -51,9 +49,10 @@ def _words(name: str, values: dict[str, Any]) -> str:
     return " ".join([name, *shown])
 
 
-def _defaults(method: str) -> dict[str, Any]:
-    """Return a method's usual settings; none for a method this version does not know."""
-    if method not in methods.names():
-        return {}
-    defaults: dict[str, Any] = json.loads(json.dumps(asdict(methods.config_type(method)())))
-    return defaults  # as JSON has it, like the manifest: a tuple is a list
+def _usual_and_own(prior: Prior) -> tuple[Record, Record]:
+    """Return a method's usual settings and a prior's, in today's names; no usual ones where the method is not known."""
+    own: Record = prior.manifest.get("config", {})
+    if prior.method not in methods.names():
+        return {}, own
+    kind = methods.config_type(prior.method)
+    return record(kind()), upgrade(kind, own)

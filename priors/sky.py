@@ -8,7 +8,7 @@ Three steps, the first two on blocks of pixels (at most 20,000):
 3. at full resolution a guided filter (He, Sun, "Fast Guided Filter", 2015) fits the blocks' answer to colour edges, so
    that poles and branches stay out of the sky.
 
-The coefficients lie in weights/sky.npz; `python -m priors.learn.sky` fitted them, weights/sky.md says on what.
+The coefficients lie in weights/sky.npz; `python -m priors.learn.fit_sky` fitted them, weights/sky.md says on what.
 """
 
 from functools import cache

@@ -1,8 +1,11 @@
 """The few types that everything else leans on. Units and frames are in the names."""
 
+import re
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal, Protocol, Self, TypeAlias
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -50,6 +53,12 @@ class Depth:
         """Share of the pixels that have a value, in [0, 1]."""
         return float(np.mean(self.valid)) if self.depth_m.size else 0.0
 
+    def trust(self) -> FloatMap:
+        """Return the confidence (height, width); DataError where the map has none."""
+        if self.confidence is None:
+            raise DataError("this depth map has no confidence: choose a method that has one")
+        return self.confidence
+
     def keep(self, mask: Mask) -> "Depth":
         """Return the map with everything outside mask (height, width) made invalid."""
         confidence = None if self.confidence is None else np.where(mask, self.confidence, np.float32(0))
@@ -85,7 +94,8 @@ class Rig:
     """Calibrated over true baseline."""
 
 
-Reader: TypeAlias = Callable[[], Any]
+Input: TypeAlias = Literal["image", "other", "sweep", "truth", "sparse", "sky"]
+"""What a frame may have, and a method or a filter may need."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,7 +106,7 @@ class Frame:
     """The data set's own frame id: file stem, e.g. 0000000005. What caches and truth are joined by."""
     camera: Camera
     readers: Mapping[str, Callable[..., Any]]
-    """What can be read: image, other, sweep, truth, sparse, sky. Each is called only when needed."""
+    """What can be read, by the names of Input. Each is called only when needed."""
     missing: Mapping[str, str] = field(default_factory=dict)
     """Why a reader is not there and what to do, one line each."""
     T_world_cam: Matrix | None = None
@@ -112,11 +122,11 @@ class Frame:
     rig: Rig | None = None
     """The car that took it, where the error of its rectification is known."""
 
-    def has(self, what: str) -> bool:
-        """Tell whether `what` (image, other, sweep, truth, sparse, sky) can be read here."""
+    def has(self, what: Input) -> bool:
+        """Tell whether it can be read here."""
         return what in self.readers
 
-    def read(self, what: str, *args: Any) -> Any:
+    def read(self, what: Input, *args: Any) -> Any:
         """Read `what`, or raise DataError with the drive's reason why it is not there."""
         if what not in self.readers:
             raise DataError(f"frame {self.id}: {self.missing.get(what, f'this drive has no {what}')}")
@@ -176,18 +186,50 @@ class Drive(Protocol):
     def __getitem__(self, index: int) -> Frame: ...
 
 
-class Method(Protocol):
-    """A way to make depth: a frozen dataclass whose fields are flags, cache key and record."""
+@dataclass(frozen=True)
+class Method(ABC):
+    """A way to make depth: a frozen dataclass whose fields are flags, cache key and record.
+
+    A subclass must have `reads`, `resolve` and `__call__`; the rest has defaults that suit most.
+    """
+
+    VERSION: ClassVar[int] = 1
+    """Part of the cache's key: raised when the method's maps change, and only then. Rounding is no change."""
 
     @property
-    def reads(self) -> tuple[str, ...]:
-        """What a frame must have (image, other, sweep, sparse) for this method to work on it."""
-        ...
+    def name(self) -> str:
+        """What flags, folders and tables call it: the class's name in snake case, which is also its file's."""
+        return re.sub(r"(?<=.)(?=[A-Z])", "_", type(self).__name__).lower()
 
+    @property
+    @abstractmethod
+    def reads(self) -> tuple[Input, ...]:
+        """What a frame must have for this method to work on it."""
+
+    @abstractmethod
     def resolve(self, frame: Frame) -> Self:
         """Return the config with every 'auto' decided from the drive's first frame."""
-        ...
 
+    @abstractmethod
     def __call__(self, frame: Frame) -> Depth:
         """Make the frame's depth map."""
-        ...
+
+    def weights_digest(self) -> str | None:
+        """Return the hash of the learned weights, for the cache's key; None where there are none."""
+        return None
+
+    def notes(self) -> list[str]:
+        """Return what a user should know before the first frame, a line each."""
+        return []
+
+    def prepare(
+        self, drive: Drive, folder: Path, on_note: Callable[[str], None] = lambda line: None
+    ) -> Callable[[Frame], Depth]:
+        """Look at the whole drive, once and before the first frame; returns what makes a frame's depth.
+
+        Args:
+            drive: what the frames will come from.
+            folder: where to keep what was learned from the drive.
+            on_note: told what is going on, a line at a time.
+        """
+        return self

@@ -11,6 +11,8 @@ from factories import write_argoverse_stereo, write_argoverse_tracking, write_fo
 
 from priors.machine import cpu
 
+cpu.hold_down()  # before anything is compiled, as the commands do
+
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 DATA = SHARED / "data"
 RealData = Callable[..., Path]

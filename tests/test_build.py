@@ -3,15 +3,16 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
-from priors import build
+from priors import build, selection
 from priors.errors import DataError
 from priors.filters import Filters
-from priors.types import Camera, Depth, Drive, Frame
+from priors.selection import Selection
+from priors.types import Camera, Depth, Drive, Frame, Input, Method
 
 SIZE = (8, 12)
 
@@ -48,16 +49,17 @@ class Line:
 
 
 @dataclass(frozen=True)
-class Plane:
+class Plane(Method):
     """Depth is a constant; counts its calls."""
 
     depth_m: float = 5.0
     fails_on: str = ""
     interrupts_on: str = ""
     calls = []  # noqa: RUF012 - the test's own counter
+    VERSION: ClassVar[int] = 1
 
     @property
-    def reads(self) -> tuple[str, ...]:
+    def reads(self) -> tuple[Input, ...]:
         return ("image",)
 
     def resolve(self, frame: Frame) -> "Plane":
@@ -82,13 +84,11 @@ def run(
     folder: Path,
     method: Plane | None = None,
     filters: Filters | None = None,
-    selection: build.Selection | None = None,
+    selection: Selection | None = None,
     workers: int = 2,
-) -> build.Report:
-    filters = filters or Filters()
-    prior, resolved = build.prepare(drive, "plane", method or Plane(), filters, folder)
-    plan = build.plan(drive, prior, resolved.reads, selection or build.Selection())
-    return build.build(drive, prior, resolved, filters, plan, workers)
+) -> build.BuildReport:
+    job = build.prepare(drive, method or Plane(), filters, folder)
+    return job.run(job.plan(selection or Selection()), workers)
 
 
 def test_a_second_build_computes_nothing(tmp_path: Path) -> None:
@@ -146,7 +146,7 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path: Path, workers: int) -> No
     with pytest.raises(KeyboardInterrupt):
         run(drive, tmp_path, interrupting, workers=workers)
     started = set(Plane.calls) - {drive.ids[4]}
-    prior, _ = build.prepare(drive, "plane", interrupting, Filters(), tmp_path)
+    prior = build.prepare(drive, interrupting, folder=tmp_path).prior
     assert set(prior.ids()) == started, "every frame that was begun is there, whole"
     assert len(started) < len(drive), "the rest was not begun"
 
@@ -158,22 +158,20 @@ def test_frames_without_an_input_are_skipped_with_the_reason(tmp_path: Path) -> 
 
 
 def test_still_frames_are_skipped_on_request(tmp_path: Path) -> None:
-    report = run(Line(), tmp_path, selection=build.Selection(min_motion=0.3))
+    report = run(Line(), tmp_path, selection=Selection(min_motion=0.3))
     assert sorted(report.plan.skipped) == ["000009", "000010"]
     assert all("stood still" in reason for reason in report.plan.skipped.values())
 
 
 def test_slow_motion_adds_up(tmp_path: Path) -> None:
-    report = run(Line(count=3), tmp_path, selection=build.Selection(min_motion=0.8))
+    report = run(Line(count=3), tmp_path, selection=Selection(min_motion=0.8))
     assert [line["id"] for line in report.built] == ["000005", "000007"]
 
 
 def test_shards_part_the_drive(tmp_path: Path) -> None:
     drive = Line()
     built = [
-        line["id"]
-        for part in (1, 2, 3)
-        for line in run(drive, tmp_path, selection=build.Selection(shard=f"{part}/3")).built
+        line["id"] for part in (1, 2, 3) for line in run(drive, tmp_path, selection=Selection(shard=f"{part}/3")).built
     ]
     assert sorted(built) == drive.ids
     assert len(run(drive, tmp_path).built) == 0
@@ -185,29 +183,28 @@ def test_shards_part_the_drive(tmp_path: Path) -> None:
 )
 def test_frames_are_numbers_of_the_file_names(frames: str, ids: list[str]) -> None:
     drive = Line()
-    assert [drive.ids[index] for index in build.select(drive.ids, frames)] == ids
+    assert [drive.ids[index] for index in selection.select(drive.ids, frames)] == ids
 
 
 def test_frames_are_positions_where_ids_are_timestamps() -> None:
     ids = ["315969904359876000", "315969904459876000", "315969904559876000"]
-    assert build.select(ids, "1:3") == [1, 2]
+    assert selection.select(ids, "1:3") == [1, 2]
 
 
 @pytest.mark.parametrize("frames", ["a:b", "100:200", "7:7", "--", "1:2:3"])
 def test_bad_ranges_say_what_is_expected(frames: str) -> None:
     with pytest.raises(DataError, match="--frames"):
-        build.select(Line().ids, frames)
+        selection.select(Line().ids, frames)
 
 
 @pytest.mark.parametrize("text", ["0/3", "4/3", "1", "a/b", "1/0", "-1/2"])
 def test_bad_shards_say_what_is_expected(text: str) -> None:
     with pytest.raises(DataError, match="--shard"):
-        build.shard([1, 2, 3], text)
+        selection.shard([1, 2, 3], text)
 
 
 def test_a_dry_run_leaves_no_folder(tmp_path: Path) -> None:
-    prior, method = build.prepare(Line(), "plane", Plane(), Filters(), tmp_path / "cache")
-    assert len(build.plan(Line(), prior, method.reads, build.Selection()).todo) == 10
+    assert len(build.prepare(Line(), Plane(), folder=tmp_path / "cache").plan().todo) == 10
     assert not (tmp_path / "cache").exists()
 
 
@@ -225,5 +222,5 @@ def test_a_moved_camera_has_another_key(tmp_path: Path) -> None:
             frame = super().__getitem__(index)
             return replace(frame, camera=Camera(np.diag([11.0, 11.0, 1.0]), SIZE))
 
-    keys = [build.prepare(drive, "plane", Plane(), Filters(), tmp_path)[0].name for drive in (Line(), Wider())]
+    keys = [build.prepare(drive, Plane(), folder=tmp_path).prior.name for drive in (Line(), Wider())]
     assert keys[0] != keys[1]

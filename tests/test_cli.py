@@ -125,6 +125,29 @@ def test_pictures_are_written(built: Path) -> None:
     assert cv2.imread(str(built / "curves.png")).std() > 5
 
 
+def test_a_report_page_holds_table_curves_pictures_and_the_command(built: Path) -> None:
+    succeed("eval", "cache", "--save", "report.html", "table.md", "--curves", "curves.svg", cwd=built)
+    page = (built / "report.html").read_text()
+    figures = re.findall(r"\d+\.\d{4}", (built / "table.md").read_text().split("paper:")[0])
+    assert len(figures) >= 15 and all(f">{figure}</td>" in page for figure in figures)
+    assert page.count("<svg") == 2, "errors by distance, sparsification"
+    assert page.count("data:image/jpeg;base64,") == min(FRAMES, 4)
+    assert "priors eval cache --save report.html table.md --curves curves.svg" in page
+    assert ">oracle</text>" in (built / "curves.svg").read_text()
+    succeed("eval", next((built / "cache").glob("*/lidar-*")) / "metrics.json", "--save", "one.html", cwd=built)
+    assert "data:image" not in (built / "one.html").read_text(), "figures alone: the maps are not looked for"
+
+
+@pytest.mark.parametrize("flags", [("--save", "table.xls"), ("--curves", "curves.jpg")])
+def test_files_that_cannot_be_written_are_refused_before_anything_is_scored(
+    built: Path, tmp_path: Path, flags: tuple[str, str]
+) -> None:
+    done = priors("eval", built / "cache", *flags, cwd=tmp_path)
+    assert done.returncode in (1, 2)
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert flags[1] in done.stderr and "ends in" in done.stderr and not done.stdout
+
+
 def test_list_names_every_prior_and_what_is_half_written(built: Path, tmp_path: Path) -> None:
     assert succeed("list", cwd=built).count(f" {FRAMES} ") >= 3
     shutil.copytree(built / "cache", tmp_path / "cache")

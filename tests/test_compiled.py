@@ -13,7 +13,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from cli.compiling import Column, Watch
+from cli.compiling import CompilingColumn, Watch
 from priors.machine import notices
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -159,7 +159,7 @@ def test_nested_functions_count_and_are_one_burst(watched: tuple[Watch, io.Strin
 def test_a_bar_that_runs_shows_what_is_compiled(watched: tuple[Watch, io.StringIO, Console]) -> None:
     watch, text, console = watched
     watch.bar_begins()
-    with Progress(Column(watch), console=console) as bar:
+    with Progress(CompilingColumn(watch), console=console) as bar:
         bar.add_task("frames", total=1)
         tell(notices.on_compile, "kernel")
         bar.refresh()

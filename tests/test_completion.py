@@ -17,8 +17,8 @@ from eval.protocol import preset
 from eval.result import Result, score
 from priors.drives import open_drive
 from priors.errors import DataError
-from priors.kernels import samples as kernels
-from priors.kernels import spread
+from priors.kernels import plane_propagation
+from priors.kernels import sparse_samples as kernels
 from priors.methods.completion import Completion, complete
 from priors.methods.lidar import Lidar
 from priors.types import Camera, Depth, Frame, Sweep
@@ -45,10 +45,12 @@ def ground(height_m: float = 1.65, tilt: float = 0.1, size: tuple[int, int] = SI
     return (720 * height_m / (row + 8 + tilt * column)).astype(F)
 
 
-def random_samples(seed: int, size: tuple[int, int] = (20, 30)) -> tuple[kernels.Samples, list[tuple[int, int, float]]]:
+def random_samples(
+    seed: int, size: tuple[int, int] = (20, 30)
+) -> tuple[kernels.SparseSamples, list[tuple[int, int, float]]]:
     rng = np.random.default_rng(seed)
     sparse = np.where(rng.random(size) < 0.15, rng.choice([4, 5, 20, 40], size) * rng.uniform(1, 1.1, size), 0)
-    found = kernels.gather(sparse.astype(F))
+    found = kernels.list_samples(sparse.astype(F))
     return found, list(zip(found[1].tolist(), found[2].tolist(), found[3].astype(float).tolist(), strict=True))
 
 
@@ -76,7 +78,7 @@ def test_slopes_are_the_reference(seed: int) -> None:
 
 
 def test_samples_in_a_row_share_a_slope() -> None:
-    samples = kernels.gather(lines(ground()))
+    samples = kernels.list_samples(lines(ground()))
     tolerance = (0.1 * samples[3] + 0.01).astype(F)
     alone, shared = (kernels.slopes(*samples, 6, 4, tolerance, F(1), share)[0] for share in (1, 3))
     changes = [np.count_nonzero(np.diff(slope)) for slope in (alone, shared)]
@@ -97,26 +99,26 @@ def test_spread_is_the_reference(runs: int) -> None:
     want = reference.spread(listed, slope.T, handicap, guide, 4, 8 * runs, *scale, 0.05, 5e-4)
     padded = np.pad(guide, pad)
     cost, value, top, bottom = (np.zeros(padded.shape, F) for _ in range(4))
-    cost.fill(spread.NOTHING)
+    cost.fill(plane_propagation.NOTHING)
     planes = (samples[1] + pad, samples[2] + pad, samples[3], *slope, handicap, 4, runs)
-    spread.choose(*planes, F(scale[0]), F(scale[1]), padded, F(scale[2]), cost, value)
+    plane_propagation.assign(*planes, F(scale[0]), F(scale[1]), padded, F(scale[2]), cost, value)
     inside = slice(pad, -pad), slice(pad, -pad)
     seen = np.isfinite(want[0])
     assert seen.any() and not seen.all()
     np.testing.assert_allclose(cost[inside][seen], want[0][seen], rtol=1e-4)
     np.testing.assert_allclose(value[inside][seen], want[1][seen], rtol=1e-4)
-    spread.blend(*planes, F(scale[0]), F(scale[1]), value, F(0.05), F(5e-4), top, bottom)
-    spread.settle(cost, top, bottom, pad, coarse, sure, 0, 6)
+    plane_propagation.average(*planes, F(scale[0]), F(scale[1]), value, F(0.05), F(5e-4), top, bottom)
+    plane_propagation.fill_holes(cost, top, bottom, pad, coarse, sure, 0, 6)
     dense, certain = reference.settle(want[0], want[2], coarse, sure, 6)
     np.testing.assert_allclose(top[inside], dense, rtol=1e-3)
     np.testing.assert_allclose(cost[inside], certain, rtol=1e-3)
 
 
 def test_spacing_of_lines_and_of_random_points() -> None:
-    found = kernels.gather(lines(ground(), 5, 2))
+    found = kernels.list_samples(lines(ground(), 5, 2))
     assert kernels.gaps(*found[:3], 48, 1) == (5, 2)
     rng = np.random.default_rng(0)
-    down, across = kernels.gaps(*kernels.gather(np.where(rng.random((300, 300)) < 0.01, F(9), F(0)))[:3], 48, 1)
+    down, across = kernels.gaps(*kernels.list_samples(np.where(rng.random((300, 300)) < 0.01, F(9), F(0)))[:3], 48, 1)
     assert 0.6 < down / across < 1.7 and 4 < down < 20
 
 
@@ -329,7 +331,7 @@ def test_what_is_missing_is_named() -> None:
 
 @pytest.mark.parametrize("flags", [{"guidance": -1.0}, {"guidance": np.nan}, {"guidance": np.inf}, {"reach_px": -1}])
 def test_bad_flags_are_refused(flags: dict[str, Any]) -> None:
-    with pytest.raises(DataError, match="expected guidance >= 0"):
+    with pytest.raises(DataError, match=r"--completion\.\S+ \S+: expected 0 or more"):
         Completion(**flags)
 
 

@@ -18,7 +18,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from priors.drives import DriveOptions, open_drive, reopen
-from priors.drives._argoverse1_calibration import Calibration
+from priors.drives._argoverse1_calibration import LogCalibration
 from priors.drives._ply import read_ply
 from priors.drives.argoverse1 import nearest
 from priors.errors import DataError
@@ -83,7 +83,7 @@ def test_no_sweep_farther_than_half_a_turn(tracking_log: Path) -> None:
 
 def test_rectification_is_the_stereo_releases(tmp_path: Path) -> None:
     write_argoverse_tracking(tmp_path, 0)
-    left, right, baseline_m = Calibration(tmp_path / "vehicle_calibration_info.json").rectify(*AV_STEREO)
+    left, right, baseline_m = LogCalibration(tmp_path / "vehicle_calibration_info.json").rectify_pair(*AV_STEREO)
     K = left.camera.K
     # What the release of the same car says, to all its digits.
     assert abs(K[0, 0] - AV_RECT["focal"]) < 1e-5
@@ -96,8 +96,8 @@ def test_rectification_is_the_stereo_releases(tmp_path: Path) -> None:
 
 def test_rectified_images_show_what_the_calibration_says(tmp_path: Path) -> None:
     write_argoverse_tracking(tmp_path, 0)
-    calibration = Calibration(tmp_path / "vehicle_calibration_info.json")
-    left, right, baseline_m = calibration.rectify(*AV_STEREO)
+    calibration = LogCalibration(tmp_path / "vehicle_calibration_info.json")
+    left, right, baseline_m = calibration.rectify_pair(*AV_STEREO)
     points_ego = np.array([[15.0, 1.0, 2.0], [25.0, -2.0, 1.0], [40.0, 1.0, 3.0]])
     rows = []
     for name, view in zip(AV_STEREO, (left, right), strict=True):
@@ -105,7 +105,7 @@ def test_rectified_images_show_what_the_calibration_says(tmp_path: Path) -> None
         stored = np.zeros((2056, 2464), np.uint8)
         for u, v in raw[:, :2] / raw[:, 2:]:
             stored[round(v) - 3 : round(v) + 4, round(u) - 3 : round(u) + 4] = 255
-        seen = view.view(stored)
+        seen = view.rectify(stored)
         cam = transform(invert(view.T_ego_cam), points_ego)
         expected = cam @ view.camera.K.T
         expected = expected[:, :2] / expected[:, 2:]

@@ -9,6 +9,7 @@ from factories import BASELINE_M, SIZE, STEP_M, depth_m, scene, write_odometry
 
 from priors import codecs
 from priors.drives import DriveOptions, open_drive, reopen
+from priors.drives._rigs import KITTI
 from priors.errors import DataError
 from priors.geometry import project, transform
 
@@ -134,7 +135,7 @@ def test_real_grey_download(real_data: RealData) -> None:
     root = real_data("kitti_odometry")
     drive = open_drive(root, options=DriveOptions(drive="06"))
     frame = drive[1]
-    assert drive[0].rig == "kitti"
+    assert drive[0].rig == KITTI
     assert len(drive) == 51 and frame.camera.size == (370, 1226)
     assert frame.baseline_m == pytest.approx(379.8145 / 707.0912)
     np.testing.assert_allclose(frame.T_world_cam[:3, 3], [-1.401751e-02, -2.820321e-02, 1.198998], rtol=1e-6)

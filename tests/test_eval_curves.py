@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from reference import eval as loops
 
-from eval.curves import Samples, best, curves, join, sample, sparsify
+from eval.curves import ScoredPixels, best, curves, join, scored_pixels, sparsify
 from eval.protocol import preset
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -21,7 +21,7 @@ def samples(seed=0, n=4000, noise=0.5):
     rng = np.random.default_rng(seed)
     truth, scale = rng.uniform(2, 80, n), rng.uniform(0, 0.2, n)
     prediction = truth * np.exp(scale * rng.standard_normal(n))
-    return Samples(prediction, truth, 1 - scale - noise * 0.2 * rng.random(n))
+    return ScoredPixels(prediction, truth, 1 - scale - noise * 0.2 * rng.random(n))
 
 
 @given(pixels)
@@ -76,25 +76,25 @@ def test_ause_orders_confidences():
     assert informed.ause < informed.ause_farthest_first
     drawn = samples()
     error = np.abs(drawn.prediction_m - drawn.truth_m)
-    assert curves(Samples(drawn.prediction_m, drawn.truth_m, -error), "rmse").ause == pytest.approx(0, abs=1e-12)
+    assert curves(ScoredPixels(drawn.prediction_m, drawn.truth_m, -error), "rmse").ause == pytest.approx(0, abs=1e-12)
 
 
 def test_ause_is_an_area():
     error, confidence = np.array([4.0, 0.0]), np.array([1.0, 0.0])
     truth = np.array([100.0, 100.0])
-    made = curves(Samples(truth + error, truth, confidence), "abs_rel", kept=np.array([1.0, 0.5]))
+    made = curves(ScoredPixels(truth + error, truth, confidence), "abs_rel", kept=np.array([1.0, 0.5]))
     # Whole: 0.02 for both; the better half: 0.04 by confidence, 0 by the oracle. A triangle of 0.5 x 0.04.
     assert made.ause == pytest.approx(0.01)
 
 
 def test_farthest_first_is_a_confidence_of_minus_the_prediction():
     drawn = samples()
-    made = curves(Samples(drawn.prediction_m, drawn.truth_m, -drawn.prediction_m), "rmse")
+    made = curves(ScoredPixels(drawn.prediction_m, drawn.truth_m, -drawn.prediction_m), "rmse")
     np.testing.assert_allclose(made.by_confidence, made.farthest_first)
 
 
 def gather(frames, protocol):
-    return join([sample(protocol.prepare(prediction, truth), trust) for prediction, trust, truth in frames])
+    return join([scored_pixels(protocol.prepare(prediction, truth), trust) for prediction, trust, truth in frames])
 
 
 def test_samples_are_what_the_protocol_scores_and_no_filled_pixel():
@@ -119,11 +119,13 @@ def test_samples_crop_the_confidence_with_the_maps():
 
 
 def test_best_keeps_exactly_the_share_with_the_highest_confidence():
-    drawn = Samples(np.array([10.0, 20.0, 30.0, 44.0]), np.array([10.0, 22.0, 30.0, 40.0]), np.array([3, 1, 2, 0.0]))
+    drawn = ScoredPixels(
+        np.array([10.0, 20.0, 30.0, 44.0]), np.array([10.0, 22.0, 30.0, 40.0]), np.array([3, 1, 2, 0.0])
+    )
     assert best(drawn, 0.5)["rmse"] == 0
     assert best(drawn, 0.75)["mae"] == pytest.approx(2 / 3)
     assert best(drawn, 0.75)["density"] == 0.75
-    tied = Samples(drawn.prediction_m, drawn.truth_m, np.ones(4))
+    tied = ScoredPixels(drawn.prediction_m, drawn.truth_m, np.ones(4))
     assert best(tied, 0.5, seed=1) == best(tied, 0.5, seed=1)
     assert len({best(tied, 0.5, seed=seed)["rmse"] for seed in range(20)}) > 1
 
@@ -140,7 +142,7 @@ def test_best_knows_disparities_of_a_rig():
 def test_nan_confidence_is_the_least_and_no_pixels_give_nan():
     curve = sparsify(np.array([5.0, 1.0]), np.array([np.nan, 0.0]), np.array([1.0, 0.5]))
     assert curve.tolist() == [3.0, 1.0]
-    empty = Samples(np.zeros(0), np.zeros(0), np.zeros(0))
+    empty = ScoredPixels(np.zeros(0), np.zeros(0), np.zeros(0))
     assert np.isnan(curves(empty, "rmse").ause)
     assert np.isnan(best(empty, 0.5)["rmse"])
 

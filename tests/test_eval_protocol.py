@@ -81,8 +81,8 @@ def test_the_cap_is_on_the_truth_and_the_clamp_on_the_prediction():
 
 @given(gappy)
 def test_fills_equal_the_loops(depth_m):
-    assert fill_rows(depth_m, farther=False).tolist() == loops.fill_rows(depth_m.tolist(), min)
-    assert fill_rows(depth_m, farther=True).tolist() == loops.fill_rows(depth_m.tolist(), max)
+    assert fill_rows(depth_m, "fill_near").tolist() == loops.fill_rows(depth_m.tolist(), min)
+    assert fill_rows(depth_m, "fill_far").tolist() == loops.fill_rows(depth_m.tolist(), max)
 
 
 def test_filled_pixels_count_as_errors_but_not_as_density():

@@ -11,7 +11,7 @@ from rich.console import Console
 from eval import table
 from eval.protocol import ScoreError, preset
 from eval.result import score
-from eval.sheet import rank
+from eval.typeset import rank
 
 pytestmark = pytest.mark.filterwarnings("error")
 
@@ -30,7 +30,7 @@ def three():
 
 
 def marks_of(results, key):
-    return [row[0] for row in table.sheet(results, [key]).marks]
+    return [row[0] for row in table.table_of(results, [key]).marks]
 
 
 def test_best_is_bold_and_second_underlined_by_each_metric_s_direction(three):
@@ -45,19 +45,19 @@ def test_ranks_are_of_printed_figures_and_leave_out_what_is_missing():
     assert rank(["9.00", "10.00"], higher=True) == ["underline", "bold"]
     assert rank(["-", "-"], higher=True) == ["", ""]
     empty = score([], preset("uncapped"), info={"prior": "none"})
-    assert table.sheet([make("a", 1.1), empty], ["rmse"]).cells[1] == ["-"]
+    assert table.table_of([make("a", 1.1), empty], ["rmse"]).cells[1] == ["-"]
 
 
 def test_figures_are_printed_in_their_units():
     one = make("x", 1.1, keep=0.5, fx_baseline=386.0)
-    laid = table.sheet([one], ["density", "abs_rel", "delta_1", "d1"])
+    laid = table.table_of([one], ["density", "abs_rel", "delta_1", "d1"])
     assert laid.cells == [["50.0", "0.1000", "1.0000", f"{one.metrics()['d1']:.2f}"]]
     assert [column.title for column in laid.columns] == ["density % ↑", "AbsRel ↓", "δ<1.25 ↑", "D1 % ↓"]
 
 
 def test_other_protocols_are_refused_by_every_writer(three, tmp_path):
     mixed = [three[0], make("paper", 1.0, protocol="paper")]
-    for write in (table.sheet, table.render, table.plain, table.markdown, table.latex, table.as_csv, table.show):
+    for write in (table.table_of, table.render, table.plain, table.markdown, table.latex, table.as_csv, table.show):
         with pytest.raises(ScoreError, match="lidar and paper were scored by different protocols"):
             write(mixed)
     with pytest.raises(ScoreError, match="different protocols"):
@@ -135,17 +135,17 @@ def test_a_terminal_shows_whole_figures_and_names_what_does_not_fit(three, width
 
 
 def test_columns_can_be_chosen_and_unknown_ones_are_named(three):
-    assert len(table.sheet(three, ["mae"]).columns) == 1
+    assert len(table.table_of(three, ["mae"]).columns) == 1
     with pytest.raises(ScoreError, match="no metric 'best': choose of density, "):
-        table.sheet(three, ["best"])
+        table.table_of(three, ["best"])
     with pytest.raises(ScoreError, match="no results to show"):
-        table.sheet([])
+        table.table_of([])
 
 
 def test_usual_columns_follow_the_protocol(three):
     stereo = make("s", 1.1, protocol="stereo2015", fx_baseline=386.0)
     assert "D1 % ↓" in table.plain([stereo])
-    assert "-" not in table.sheet([stereo]).cells[0]
+    assert "-" not in table.table_of([stereo]).cells[0]
     assert "D1" not in table.plain(three)
     renamed = [replace(r, info={}) for r in three[:1]]
     assert table.plain(renamed).splitlines()[1].startswith("prior ")

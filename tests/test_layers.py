@@ -1,6 +1,7 @@
 """The rooms of docs/architecture.md: a file imports from its own room and from those that stand before it in ROOMS."""
 
 import ast
+import re
 from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
@@ -9,7 +10,10 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = [
     "eval",
     "priors/errors",
+    "priors/extensions",
+    "priors/records",
     "priors/types",
+    "priors/selection",
     "priors/codecs",
     "priors/machine",
     "priors/kernels",
@@ -17,6 +21,7 @@ ROOMS = [
     "priors/sky",
     "priors/draw",
     "priors/cache",
+    "priors/keys",
     "priors/drives",
     "priors/pairs",
     "priors/filters",
@@ -26,6 +31,9 @@ ROOMS = [
     "priors/methods",
     "priors/check",
     "priors/naming",
+    "priors/score",
+    "priors/report",
+    "priors/export",
     "priors/street",
     "priors/learn",
     "nerf/types",
@@ -104,3 +112,9 @@ def test_files_can_be_read() -> None:
         if isinstance(node, ast.Import) and any(alias.name == "eval" and not alias.asname for alias in node.names)
     ]
     assert not long + plain, "\n".join(long + plain)
+
+
+def test_the_page_lists_the_rooms() -> None:
+    """docs/architecture.md has a sentence for each room, in the order of ROOMS."""
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    assert re.findall(r"^\| `([\w/]+)` \|", page, re.MULTILINE) == ROOMS

@@ -11,11 +11,11 @@ from test_mffnet import CAMERA, T_CAM_LIDAR, F, road
 
 from priors.errors import DataError
 from priors.learn import scans
-from priors.learn.accumulated import agrees
+from priors.learn.accumulated_lidar import agrees
 from priors.learn.completion import CompletionConfig, CompletionTask
-from priors.learn.odometry import align
-from priors.learn.sample import Sample, write
-from priors.learn.scans import Scene
+from priors.learn.lidar_odometry import align
+from priors.learn.lidar_scene import Scene
+from priors.learn.pair_file import Sample, write
 from priors.types import Camera
 
 

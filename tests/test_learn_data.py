@@ -12,9 +12,9 @@ from conftest import RealData
 from reference import pairs as slow
 
 from priors.errors import DataError
-from priors.kernels import pairs as kernels
+from priors.kernels import disparity_warp as kernels
 from priors.learn import data, looks, pseudo, sample, scenes, teach, vary, warp
-from priors.learn.pair import Pair, mirror, to_item
+from priors.learn.stereo_pair import Pair, mirror, to_item
 from priors.types import Camera
 
 SIZE = (96, 192)

@@ -43,7 +43,16 @@ def command(tmp_path: Path) -> list[str]:
         "--out",
         tmp_path / "maps",
     ]
-    return [sys.executable, "-m", "priors.learn.teach", *map(str, places), "--network", "Ramp", "--threads", "1"]
+    return [
+        sys.executable,
+        "-m",
+        "priors.learn.teacher_labels",
+        *map(str, places),
+        "--network",
+        "Ramp",
+        "--threads",
+        "1",
+    ]
 
 
 def test_both_eyes_are_labelled_once(command: list[str], tmp_path: Path) -> None:

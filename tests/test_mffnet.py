@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from priors.errors import DataError
+from priors.methods._completion_classical import list_samples, near_samples
 from priors.methods._completion_network import span
-from priors.methods.completion import Completion, complete, near_samples
+from priors.methods.completion import Completion, complete
 from priors.nets import runtime, weights
 from priors.nets.blocks import channels_last, fold
 from priors.nets.fused import available
@@ -184,7 +185,7 @@ def test_a_size_that_is_not_there() -> None:
 def mended(method: Completion, sparse_m: FloatMap, picture: np.ndarray | None = None) -> Depth:
     picture = image(sparse_m.shape) if picture is None else picture
     K = CAMERA.K.copy()
-    return method.mend(sparse_m, picture, Camera(K, sparse_m.shape), T_CAM_LIDAR)
+    return method.fill(sparse_m, picture, Camera(K, sparse_m.shape), T_CAM_LIDAR)
 
 
 def check(depth: Depth, sparse_m: FloatMap, reach_px: int = 64) -> None:
@@ -192,7 +193,7 @@ def check(depth: Depth, sparse_m: FloatMap, reach_px: int = 64) -> None:
     assert depth.confidence is not None
     assert depth.depth_m.shape == depth.confidence.shape == sparse_m.shape
     assert np.isfinite(depth.depth_m).all() and np.isfinite(depth.confidence).all()
-    assert np.array_equal(depth.valid, near_samples(sparse_m, reach_px))
+    assert np.array_equal(depth.valid, near_samples(list_samples(sparse_m), sparse_m.shape, reach_px))
     assert ((depth.confidence > 0) == depth.valid).all() and depth.confidence.max(initial=0) <= 1
     samples = sparse_m[sparse_m > 0]
     if samples.size:

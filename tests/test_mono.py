@@ -12,12 +12,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from priors import build
-from priors.adapt.depth_supervision import Measured
-from priors.adapt.finetune import AdaptConfig, adapt, training_views
+from priors.adapt.depth_supervision import DepthSupervision
+from priors.adapt.finetune import AdaptConfig, fine_tune
 from priors.adapt.objective import loss, nearest_of_cells, silog
-from priors.adapt.views import SKY, SURFACE, View, cut
+from priors.adapt.selection import pick_evenly, training_views
+from priors.adapt.views import SKY, SURFACE, LabelledView
+from priors.adapt.windows import random_crop
 from priors.errors import DataError
-from priors.filters import Filters
 from priors.methods._reference import READS
 from priors.methods.mono import Mono
 from priors.nets import bts, weights
@@ -30,7 +31,7 @@ def intrinsics(focal_px: float, size: tuple[int, int]) -> np.ndarray:
     return np.array([[focal_px, 0, (size[1] - 1) / 2], [0, focal_px, 0.4 * size[0]], [0, 0, 1.0]])
 
 
-def road(focal_px: float = 200.0, size: tuple[int, int] = (64, 160), seed: int = 0) -> View:
+def road(focal_px: float = 200.0, size: tuple[int, int] = (64, 160), seed: int = 0) -> LabelledView:
     """A flat road seen from HEIGHT_M above it, under a sky: brightness follows disparity, plus noise."""
     K = intrinsics(focal_px, size)
     below_px = np.arange(size[0]) - K[1, 2]
@@ -40,7 +41,7 @@ def road(focal_px: float = 200.0, size: tuple[int, int] = (64, 160), seed: int =
     noise = np.random.default_rng(seed).uniform(0, 40, (*size, 3))
     grey = np.where(sky, 200, 40 + 2 * np.maximum(below_px, 0)[:, None])
     image = np.clip(grey[..., None] + noise, 0, 255).astype(np.uint8)
-    return View(image, Camera(K, size), depth_m, np.where(sky, SKY, SURFACE).astype(np.int8), "road")
+    return LabelledView(image, Camera(K, size), depth_m, np.where(sky, SKY, SURFACE).astype(np.int8), "road")
 
 
 @dataclass
@@ -154,7 +155,7 @@ def test_any_size_and_any_image(net: bts.Bts, size: tuple[int, int], value: int 
 @settings(max_examples=40, deadline=None)
 def test_crops_keep_the_camera_true(seed: int, zoom: float) -> None:
     """Of a flat road, depth x rows below the horizon / fy stays the camera's height, in any crop at any scale."""
-    view = cut(road(size=(96, 200)), np.random.default_rng(seed), (64, 96), (zoom, zoom))
+    view = random_crop(road(size=(96, 200)), np.random.default_rng(seed), (64, 96), (zoom, zoom))
     assert view.image.shape == (64, 96, 3)
     K = view.camera.K
     below_px = (np.arange(64) - K[1, 2])[:, None] * np.ones(96)
@@ -191,21 +192,21 @@ def test_losses_are_finite_without_truth(known: bool) -> None:
 
 
 def test_who_may_take_part() -> None:
-    assert training_views(30, range(30), "9::10", 99) == [i for i in range(30) if i not in (9, 19, 29)]
-    assert training_views(30, range(5, 17), "9::10", 99) == [i for i in range(5, 17) if i != 14]  # counted from 5
-    assert training_views(4, range(4), "none", 99) == [0, 1, 2, 3]
-    thinned = training_views(100, range(100), "9::10", 7)
-    assert len(thinned) == 7 and thinned[0] == 0 and thinned[-1] == 98
+    assert training_views(30, range(30), "9::10") == [i for i in range(30) if i not in (9, 19, 29)]
+    assert training_views(30, range(5, 17), "9::10") == [i for i in range(5, 17) if i != 14]  # counted from 5
+    assert training_views(4, range(4), "none") == [0, 1, 2, 3]
+    assert training_views(4, range(4), "2") == [0, 1, 3]
+    assert pick_evenly(training_views(100, range(100), "9::10"), 7) == [0, 16, 33, 50, 66, 83, 98]
     for wrong in ("x", "1:2:0", "::", "9-10"):
         with pytest.raises(DataError, match="hold-out"):
-            training_views(5, range(5), wrong, 9)
+            training_views(5, range(5), wrong)
 
 
 def test_adapting_learns_the_scene(net: bts.Bts) -> None:
     """On a scene unlike what it knows, the error of a view it did not see falls to a fraction."""
     views = [road(seed=n) for n in range(3)]
     before = {name: value.clone() for name, value in net.state_dict().items()}
-    adapted = adapt(net, Measured(views), AdaptConfig(steps=25, lr=4e-3, ema=0.8), bf16=False)
+    adapted = fine_tune(net, DepthSupervision(views), AdaptConfig(steps=25, lr=4e-3, ema=0.8), bf16=False)
 
     def error(model: Any) -> float:
         other = road(seed=9)
@@ -217,10 +218,8 @@ def test_adapting_learns_the_scene(net: bts.Bts) -> None:
     assert all(torch.equal(before[name], value) for name, value in net.state_dict().items())  # the given one stays
 
 
-def make(drive: Road, method: Mono, folder: Path, notes: list[str] | None = None) -> build.Report:
-    prior, method = build.prepare(drive, "mono", method, Filters(), folder)
-    plan = build.plan(drive, prior, method.reads, build.Selection())
-    return build.build(drive, prior, method, Filters(), plan, on_note=(notes if notes is not None else []).append)
+def make(drive: Road, method: Mono, folder: Path, notes: list[str] | None = None) -> build.BuildReport:
+    return build.prepare(drive, method, folder=folder).run(on_note=(notes if notes is not None else []).append)
 
 
 def test_a_drive_is_built(file: Path, tmp_path: Path) -> None:
@@ -234,7 +233,7 @@ def test_a_drive_is_built(file: Path, tmp_path: Path) -> None:
 
 def test_the_key_holds_what_decides(file: Path, tmp_path: Path) -> None:
     def key(**fields: Any) -> str:
-        return build.prepare(Road(3), "mono", Mono(weights=file, size="s", **fields), Filters(), tmp_path)[0].name
+        return build.prepare(Road(3), Mono(weights=file, size="s", **fields), folder=tmp_path).prior.name
 
     plain = key()
     assert key(adapt_s=9.0, hold_out="::2", frames="0:2", align_to="sparse") == plain  # nothing is adapted or aligned
@@ -263,7 +262,7 @@ def test_adapting_reads_no_held_out_frame_and_is_kept(
     file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(READS, "lidar", ("sparse",))
-    known = "priors.methods._reference.Known.__call__"
+    known = "priors.methods._reference.ReferenceDepth.__call__"
     monkeypatch.setattr(known, lambda self, frame: frame.sparse().depth_m)
     drive, notes = Road(12, closed=(9,)), []
     method = Mono(weights=file, size="s", adapt="lidar", adapt_s=0.5, runtime="fp32").resolve(drive[0])

@@ -55,7 +55,8 @@ def test_a_wrong_setting_is_told_with_what_was_expected(kind: type[Any], name: s
         kind(**{name: value})
     message = str(told.value)
     assert "expected" in message and "\n" not in message
-    assert name in message
+    flag = {"seconds": "--time"}.get(name, f"--{name.replace('_', '-')}")
+    assert name in message or message.startswith(f"{flag} ")
 
 
 @pytest.mark.parametrize(

@@ -91,7 +91,7 @@ def test_near_the_twin_in_full_precision(width, levels, count):
 def test_the_code_for_tiles_compiles_on_cpus_without(tmp_path):
     root = Path(__file__).resolve().parents[1]
     environment = {**os.environ, "PYTHONPATH": str(root), "ROADPRIOR_CACHE": str(tmp_path)}
-    command = [sys.executable, str(root / "tests" / "reference" / "tiles_compiled.py")]
+    command = [sys.executable, "-P", str(root / "tests" / "reference" / "tiles_compiled.py")]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     instructions = "ldtilecfg tdpbf16ps vcvtne2ps2bf16 tilerelease"
     assert done.stdout.splitlines() == [f"forward {instructions}", f"backward {instructions}"], done.stderr

@@ -56,7 +56,7 @@ def prior(folder: Path, depths: dict[str, np.ndarray], print_: str = "corridor")
         "method": "m",
         "drive": {"name": "corridor", "path": "/nowhere"},
     }
-    made = cache.create(folder, {**manifest, "fingerprint": print_})
+    made = cache.create(folder / "corridor" / "m-0", {**manifest, "fingerprint": print_})
     for id_, depth_m in depths.items():
         made.write(id_, Depth(depth_m.astype(np.float32)), 0.0)
     return made

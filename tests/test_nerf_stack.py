@@ -11,6 +11,7 @@ from conftest import FullDisk
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from eval.files import STALE_S
 from nerf import stack
 from nerf.stack import Stack, StackWriter
 
@@ -83,6 +84,6 @@ def test_what_a_kill_left_behind_is_dropped_once_it_is_old(tmp_path: Path) -> No
     old, young = tmp_path / ".a.npy.1.aa", tmp_path / ".a.npy.2.bb"
     for path in (old, young):
         path.write_bytes(b"half")
-    os.utime(old, (0, time.time() - 2 * stack.STALE_S))
+    os.utime(old, (0, time.time() - 2 * STALE_S))
     written(tmp_path / "a.npy", np.ones((1, 2, 2), np.uint8))
     assert sorted(path.name for path in tmp_path.iterdir()) == [young.name, "a.npy"]

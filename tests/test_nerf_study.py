@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 import pytest
 
-from eval import sheet
+from eval import typeset
 from eval.image import ImageScore
 from eval.protocol import ScoreError, preset
-from eval.result import score_frame
+from eval.result import Comparison, score_frame
 from nerf.report import FrameScore, Report
 from nerf.study import NONE, Outcome, RunSpec, Study, run_study
 from nerf.study_table import commands, density_curves, lay_out, save
@@ -47,7 +47,7 @@ class Runner:
             FrameScore(
                 id_,
                 ImageScore(10 ** (-psnr / 10), 65025 * 10 ** (-psnr / 10), 0.8, 0.7),
-                score_frame(id_, truth * (1 + abs_rel), None, truth, rules),
+                score_frame(Comparison(id_, truth * (1 + abs_rel), None, truth), rules),
                 None,
                 0.5,
             )
@@ -193,7 +193,8 @@ def test_every_format_is_written_with_its_commands(tmp_path):
     outcomes = made(study, tmp_path)
     typed = "nerf study DATA --priors cache/wall/*"
     paths = save(outcomes, tmp_path, typed)
-    assert [path.name for path in paths] == ["table.md", "table.tex", "table.txt", "table.csv", "density.png"]
+    tables = ["table.md", "table.tex", "table.txt", "table.csv"]
+    assert [path.name for path in paths] == [*tables, "density.png", "density.svg", "density.pdf", "report.html"]
     markdown, latex, plain, table = (path.read_text() for path in paths[:4])
     assert markdown.startswith("| field | views | prior | density | PSNR dB ↑ |")
     assert "| ngp | dense | lidar-0123456789 | all | **24.00** |" in markdown
@@ -208,7 +209,11 @@ def test_every_format_is_written_with_its_commands(tmp_path):
     assert rows[1]["prior"] == LIDAR
     assert float(rows[1]["psnr"]) == pytest.approx(quality(study.runs()[1])[0])
     assert rows[1]["truth"] == "annotated"
-    assert cv2.imread(str(paths[4])).shape == (800, 640, 3)  # dense, sparse
+    height, width, _ = cv2.imread(str(paths[4])).shape
+    assert height > width, "two plots, one above the other: dense and sparse views"
+    page = paths[7].read_text()
+    assert page.count("<svg") == 1
+    assert all(line in page for line in [typed, *fits])
     assert commands(outcomes, typed)[0] == typed
 
 
@@ -257,11 +262,11 @@ def test_a_sheet_in_a_terminal_has_sections_and_all_heads(tmp_path):
 
     console = Console(width=120)
     with console.capture() as capture:
-        console.print(sheet.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 120))
+        console.print(typeset.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 120))
     lines = capture.get().splitlines()
     assert [word in lines[1] + lines[2] for word in ("field", "views", "prior", "PSNR", "AbsRel")] == [True] * 5
     assert sum("24.00" in line for line in lines) == 1
     with console.capture() as capture:
-        console.print(sheet.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 60))
+        console.print(typeset.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 60))
     assert "no room for" in capture.get()
     assert "AbsRel" in capture.get().split("no room for")[1]

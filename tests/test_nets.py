@@ -7,13 +7,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor, nn
 
-from priors.nets import matching, volume
-from priors.nets.blocks import Climb, Exact, Residual, both, channels_last, conv, conv3d, fold
-from priors.nets.cfnet import Cfnet, Range
+from priors.nets import cost_volume, matching
+from priors.nets.blocks import Exact, Residual, UpsampleConv, both, channels_last, conv, conv3d, fold
+from priors.nets.cfnet import Cfnet, SearchRange
 from priors.nets.fused import FusedExact, available, fuse, spread_over_planes
-from priors.nets.intake import take_in
-from priors.nets.outputs import StereoOut
 from priors.nets.pcwnet import Pcwnet
+from priors.nets.stereo_input import preprocess
+from priors.nets.stereo_output import StereoOut
 from priors.nets.tensors import join
 from priors.nets.trunk import Trunk, pad
 from priors.nets.upsample import convex
@@ -48,13 +48,13 @@ def random_pair(seed: int, width: int = 9) -> tuple[Tensor, Tensor, Tensor]:
 def test_matching_equals_the_naive_loops(seed: int, width: int) -> None:
     pair = random_pair(seed, width)
     expected = naive_lookup(*pair, 2)
-    torch.testing.assert_close(volume.lookup(*pair, 2), expected, atol=1e-5, rtol=1e-5)
+    torch.testing.assert_close(cost_volume.lookup(*pair, 2), expected, atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(matching.lookup_units(*pair, 2), expected, atol=1e-5, rtol=1e-5)
 
 
 def test_the_kernels_gradients_equal_those_of_plain_torch() -> None:
     pair = [t.requires_grad_() for t in random_pair(3)]
-    ours, twin = matching.lookup_units(*pair, 2), volume.lookup(*pair, 2)
+    ours, twin = matching.lookup_units(*pair, 2), cost_volume.lookup(*pair, 2)
     push = torch.randn(ours.shape, generator=torch.Generator().manual_seed(1))
     for a, b in zip(torch.autograd.grad(ours, pair, push), torch.autograd.grad(twin, pair, push), strict=True):
         torch.testing.assert_close(a, b, atol=1e-5, rtol=1e-5)
@@ -67,7 +67,7 @@ def features(seed: int, width: int = 9) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def naive_volume(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
-    return naive_lookup(volume.unit(left, groups), volume.unit(right, groups), disparity_px, groups)
+    return naive_lookup(cost_volume.unit(left, groups), cost_volume.unit(right, groups), disparity_px, groups)
 
 
 @settings(max_examples=10, deadline=None)
@@ -106,7 +106,7 @@ def test_a_full_range_is_a_lookup_at_whole_disparities() -> None:
     expected = naive_volume(left, right, torch.arange(4.0).expand(2, 3, 9, 4), 2)
     with torch.no_grad():
         found = matching.correlate(left, right, 2, 4)
-    twin = volume.correlate(volume.unit(left, 2), volume.unit(right, 2), 2, 4)
+    twin = cost_volume.correlate(cost_volume.unit(left, 2), cost_volume.unit(right, 2), 2, 4)
     for volume_ in (found, matching.correlate(left, right, 2, 4), twin):
         torch.testing.assert_close(volume_, expected, atol=1e-5, rtol=1e-5)
 
@@ -125,7 +125,7 @@ def test_matches_stand_between_other_maps() -> None:
 
 def test_concatenation_puts_matching_columns_side_by_side() -> None:
     left, right = torch.rand(1, 2, 2, 6), torch.rand(1, 3, 2, 6)[:, :2]
-    both = volume.concatenate(left, right, 3)
+    both = cost_volume.concatenate(left, right, 3)
     assert both.shape == (1, 4, 2, 6, 3)
     for x, d in np.ndindex(6, 3):
         assert torch.equal(both[0, :2, :, x, d], left[0, :, :, x])
@@ -142,13 +142,13 @@ def test_joined_maps_of_half_the_size_are_repeated() -> None:
 
 def test_a_shift_by_a_constant_moves_columns() -> None:
     right = torch.rand(1, 2, 7, 3)
-    moved = volume.shift(right, torch.full((1, 2, 7), 2.0))
+    moved = cost_volume.shift(right, torch.full((1, 2, 7), 2.0))
     torch.testing.assert_close(moved[:, :, 2:], right[:, :, :-2])
     assert not moved[:, :, :2].any()
 
 
 def test_unit_features_have_groups_of_length_one() -> None:
-    features = volume.unit(torch.randn(1, 8, 2, 3) * 100, 2)
+    features = cost_volume.unit(torch.randn(1, 8, 2, 3) * 100, 2)
     torch.testing.assert_close(features.reshape(1, 2, 3, 2, 4).norm(dim=-1), torch.ones(1, 2, 3, 2))
 
 
@@ -162,19 +162,19 @@ def test_the_kernels_of_distributions_equal_plain_torch(seed: int, planes: int, 
     features[0, :4, 0, 0] = 0  # a group without length
     with torch.no_grad():
         ours, length_one = matching.expect(logits, positions, window), matching.unit(features, 2)
-    for found, expected in zip(ours, volume.expect(logits, positions, window), strict=True):
+    for found, expected in zip(ours, cost_volume.expect(logits, positions, window), strict=True):
         torch.testing.assert_close(found, expected, atol=1e-4, rtol=1e-4)
-    torch.testing.assert_close(length_one, volume.unit(features, 2))
+    torch.testing.assert_close(length_one, cost_volume.unit(features, 2))
 
 
 @settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10**6), kind=st.sampled_from([torch.float32, torch.bfloat16]), height=st.integers(1, 70))
 def test_bytes_go_in_as_floats_do(seed: int, kind: torch.dtype, height: int) -> None:
     left, right = torch.randint(0, 256, (2, 1, 3, height, 45), generator=torch.Generator().manual_seed(seed))
-    expected = take_in(left.float() / 255, right.float() / 255, kind)
+    expected = preprocess(left.float() / 255, right.float() / 255, kind)
     with torch.no_grad():
-        found = take_in(left.byte(), right.byte(), kind)
-    for ours, theirs, twin in zip(found, expected, take_in(left.byte(), right.byte(), kind), strict=True):
+        found = preprocess(left.byte(), right.byte(), kind)
+    for ours, theirs, twin in zip(found, expected, preprocess(left.byte(), right.byte(), kind), strict=True):
         assert ours.dtype == kind
         torch.testing.assert_close(ours, theirs, atol=1e-6, rtol=0 if kind == torch.float32 else 2**-7)
         assert torch.equal(twin, theirs)
@@ -192,7 +192,7 @@ def test_a_3d_convolution_to_one_channel_is_a_2d_one(planes: int) -> None:
 @pytest.mark.parametrize("kind", [torch.float32, torch.bfloat16])
 def test_a_fused_climb_equals_repeating_and_convolving(kind: torch.dtype) -> None:
     generator = torch.Generator().manual_seed(0)
-    climb = fold(Climb(*conv3d(8, 5)).eval()).requires_grad_(False).to(kind)
+    climb = fold(UpsampleConv(*conv3d(8, 5)).eval()).requires_grad_(False).to(kind)
     nn.init.normal_(climb[0].bias, generator=generator)
     small, plus = torch.randn(2, 8, 3, 4, 2, generator=generator), torch.randn(2, 5, 6, 8, 4, generator=generator)
     small, plus = (v.to(kind).contiguous(memory_format=torch.channels_last_3d) for v in (small, plus))
@@ -244,7 +244,7 @@ def test_a_fused_head_is_as_exact_as_float32(after: nn.Module) -> None:
 
 def test_mean_and_deviation_of_a_distribution() -> None:
     logits = torch.log(torch.tensor([[[[0.1, 0.2, 0.7]]]]))
-    mean, sigma = volume.expect(logits, torch.tensor([4.0, 6.0, 8.0]))
+    mean, sigma = cost_volume.expect(logits, torch.tensor([4.0, 6.0, 8.0]))
     assert mean.item() == pytest.approx(7.2)
     assert sigma.item() == pytest.approx(np.sqrt(0.1 * 3.2**2 + 0.2 * 1.2**2 + 0.7 * 0.8**2), rel=1e-4)
 
@@ -252,7 +252,7 @@ def test_mean_and_deviation_of_a_distribution() -> None:
 def test_a_windowed_mean_takes_one_of_two_surfaces_and_sigma_tells_of_both() -> None:
     logits = torch.full((1, 1, 1, 24), -20.0)
     logits[..., 3], logits[..., 20] = 1.0, 1.2
-    mean, sigma = volume.expect(logits, torch.arange(24.0), window=2)
+    mean, sigma = cost_volume.expect(logits, torch.arange(24.0), window=2)
     assert mean.item() == pytest.approx(20, abs=1e-3)
     assert sigma.item() > 8
 
@@ -329,7 +329,7 @@ def test_padding_repeats_the_edges() -> None:
 
 
 def test_a_range_covers_the_uncertainty_and_learns_its_width() -> None:
-    range_ = Range(8, 2.5)
+    range_ = SearchRange(8, 2.5)
     disparity, sigma = torch.full((1, 1, 2), 20.0), torch.tensor([[[0.1, 6.0]]])
     position = range_(disparity, sigma)
     assert position[0, 0, 0, [0, -1]].tolist() == [17.5, 22.5]  # never narrower

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from priors.learn.confidence import CLEARLY, FAR, Seen, area, calibrate, ratios
-from priors.nets.confidence import TERMS, Calibration, evidence, falling, fit, is_hidden, miscalibration
+from priors.learn.confidence_calibration import CLEARLY, FAR, Seen, area, calibrate, ratios
+from priors.nets.confidence import TERMS, ConfidenceCalibration, evidence, falling, fit, is_hidden, miscalibration
 
 
 def drawn(seed: int = 0, n: int = 40_000, honest: float = 1.0) -> Seen:
@@ -67,7 +67,7 @@ def test_fit_is_calibrated_on_new_pixels() -> None:
 @pytest.mark.parametrize("honest", [0.4, 2.5])
 def test_fit_mends_a_network_that_misjudges_itself(honest: float) -> None:
     seen, fresh = drawn(0, honest=honest), drawn(1, honest=honest)
-    raw, made = Calibration.trusting(), fit(seen.terms, seen.within)
+    raw, made = ConfidenceCalibration.trusting(), fit(seen.terms, seen.within)
     errors = [miscalibration(c.probability(c.score(fresh.terms)), fresh.within) for c in (raw, made)]
     assert errors[1] < 0.02 < errors[0]
 
@@ -77,7 +77,7 @@ def test_confidence_falls_with_doubt() -> None:
     low, high = (np.full((4, 5), value, np.float32) for value in (-4, 1))
     flat = np.full((4, 5), 20, np.float32)
     assert made(flat, np.full_like(flat, 0.3), low).min() > made(flat, np.full_like(flat, 0.3), high).max()
-    assert Calibration.trusting()(flat, flat, np.zeros_like(flat)) == pytest.approx(0.5)
+    assert ConfidenceCalibration.trusting()(flat, flat, np.zeros_like(flat)) == pytest.approx(0.5)
 
 
 def test_different_scores_get_different_probabilities() -> None:
@@ -92,7 +92,7 @@ def test_different_scores_get_different_probabilities() -> None:
 
 @pytest.mark.parametrize("clearly", [0.8, CLEARLY], ids=["reached", "out of reach"])
 def test_distance_counts_as_little_as_does_it(clearly: float, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("priors.learn.confidence.CLEARLY", clearly)
+    monkeypatch.setattr("priors.learn.confidence_calibration.CLEARLY", clearly)
     seen = drawn()
     worst = [max(ratios(fit(seen.terms, seen.within, far), seen)) for far in FAR]
     assert worst[-1] < worst[0]
@@ -107,7 +107,7 @@ def test_ratios_know_a_perfect_and_a_reversed_order() -> None:
     seen = drawn()
     relative = np.abs(seen.truth_px / seen.disparity_px - 1)
     by_error = Seen(np.stack([relative, *seen.terms[1:]]), seen.disparity_px, seen.truth_px)
-    best, worst = (Calibration((sign, 0, 0, 0, 0), (0.0, 1.0), (1.0, 0.0)) for sign in (1.0, -1.0))
+    best, worst = (ConfidenceCalibration((sign, 0, 0, 0, 0), (0.0, 1.0), (1.0, 0.0)) for sign in (1.0, -1.0))
     assert ratios(best, by_error)[0] < min(ratios(fit(seen.terms, seen.within, far), seen)[0] for far in FAR)
     assert min(ratios(worst, by_error)) > 1
 
@@ -120,10 +120,10 @@ def test_area_is_the_mean_of_the_curve() -> None:
 
 def test_header_round_trip() -> None:
     made = fit(drawn().terms, drawn().within)
-    again = Calibration.read({"calibration": made.record()})
+    again = ConfidenceCalibration.read({"calibration": made.record()})
     terms = drawn(2).terms
     assert np.allclose(made.probability(made.score(terms)), again.probability(again.score(terms)), atol=2e-3)
-    assert Calibration.read({}) == Calibration.trusting()
+    assert ConfidenceCalibration.read({}) == ConfidenceCalibration.trusting()
 
 
 @settings(max_examples=20, deadline=None)
@@ -141,7 +141,7 @@ def test_the_kernels_equal_numpy(seed: int, knots: int, repeated: bool) -> None:
     if repeated:
         scores[knots // 2 :] = scores[knots // 2]
     heights = np.sort(rng.uniform(size=knots))[::-1].astype(np.float32)
-    table = Calibration((0.0,) * len(TERMS), tuple(map(float, scores)), tuple(map(float, heights)))
+    table = ConfidenceCalibration((0.0,) * len(TERMS), tuple(map(float, scores)), tuple(map(float, heights)))
     asked = np.concatenate([rng.normal(size=(2, 50)) * 2, np.tile(scores.astype(np.float64), (2, 1))], axis=1)
     found = table.probability(asked.astype(np.float32))
     assert found.shape == asked.shape and found.dtype == np.float32

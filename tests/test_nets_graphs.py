@@ -12,9 +12,9 @@ from priors import codecs
 from priors.errors import DataError
 from priors.methods.completion import Completion
 from priors.methods.mono import Mono
-from priors.nets import graphs, planar, runtime, upsample, volume, weights
-from priors.nets.blocks import Climb, Exact, conv3d, fold
-from priors.nets.planes import PlaneClimb, PlaneConv, PlaneHead, Planes, beside, portable, weigh
+from priors.nets import cost_volume, graphs, onnx_matching, runtime, upsample, weights
+from priors.nets.blocks import Exact, UpsampleConv, conv3d, fold
+from priors.nets.onnx_volume import PlaneConv, PlaneHead, Planes, PlaneUpsampleConv, beside, portable, weigh
 from priors.types import Camera
 
 
@@ -46,9 +46,9 @@ def test_a_convolution_of_planes_is_a_3d_one(stride: int) -> None:
 
 
 def test_a_climb_of_planes_is_a_3d_one() -> None:
-    layer = folded(nn.Sequential(Climb(*conv3d(5, 6))))[0]
+    layer = folded(nn.Sequential(UpsampleConv(*conv3d(5, 6))))[0]
     small, plus = torch.randn(2, 5, 3, 4, 2), torch.randn(2, 6, 6, 8, 4)
-    found = whole(PlaneClimb(layer)(cut(small), cut(plus)))
+    found = whole(PlaneUpsampleConv(layer)(cut(small), cut(plus)))
     torch.testing.assert_close(found, layer(small, plus), atol=1e-5, rtol=1e-5)
 
 
@@ -74,28 +74,31 @@ def test_making_a_network_portable_leaves_it_as_it_was() -> None:
 @pytest.mark.parametrize("width", [2, 9])
 def test_planar_matching_equals_plain_torch(width: int) -> None:
     left, right, disparity_px = random_pair(4, width)
-    units = [volume.unit(v.permute(0, 3, 1, 2), 2) for v in (left, right)]
+    units = [cost_volume.unit(v.permute(0, 3, 1, 2), 2) for v in (left, right)]
     views = [v.permute(0, 3, 1, 2) for v in (left, right)]
-    found = planar.lookup(*views, disparity_px, 2).permute(0, 2, 3, 4, 1)
-    torch.testing.assert_close(found, volume.lookup(*units, disparity_px, 2), atol=1e-5, rtol=1e-5)
+    found = onnx_matching.lookup(*views, disparity_px, 2).permute(0, 2, 3, 4, 1)
+    torch.testing.assert_close(found, cost_volume.lookup(*units, disparity_px, 2), atol=1e-5, rtol=1e-5)
     torch.testing.assert_close(
-        whole(planar.correlate(*views, 2, 5)), volume.correlate(*units, 2, 5), atol=1e-5, rtol=1e-5
+        whole(onnx_matching.correlate(*views, 2, 5)), cost_volume.correlate(*units, 2, 5), atol=1e-5, rtol=1e-5
     )
-    assert torch.equal(whole(planar.concatenate(*views, 5)), volume.concatenate(*views, 5))
+    assert torch.equal(whole(onnx_matching.concatenate(*views, 5)), cost_volume.concatenate(*views, 5))
 
 
 @pytest.mark.parametrize("window", [None, 1])
 def test_planar_expectation_equals_plain_torch(window: int | None) -> None:
     logits = 5 * torch.randn(2, 3, 4, 6)
     for position in (torch.arange(6.0), 9 * torch.rand(2, 3, 4, 6)):
-        ours, twin = planar.expect(logits, position, window), volume.expect(logits, position, window)
+        ours, twin = onnx_matching.expect(logits, position, window), cost_volume.expect(logits, position, window)
         torch.testing.assert_close(ours, twin, atol=1e-4, rtol=1e-5)
 
 
 def test_planar_upsampling_equals_plain_torch() -> None:
     values, logits = torch.rand(2, 3, 5, 4), 20 * torch.randn(2, 36, 5, 4)
     torch.testing.assert_close(
-        planar.convex(values, logits, 2, upsample.LARGEST), upsample.convex(values, logits, 2), atol=1e-5, rtol=1e-5
+        onnx_matching.convex(values, logits, 2, upsample.LARGEST),
+        upsample.convex(values, logits, 2),
+        atol=1e-5,
+        rtol=1e-5,
     )
 
 
@@ -118,7 +121,6 @@ def network(name: str, size: str) -> nn.Module:
 @pytest.mark.parametrize(("name", "size"), [("bts", "s"), ("bts", "m"), ("mffnet", "s")])
 @pytest.mark.parametrize("shape", [(64, 96), (45, 70)])
 def test_onnx_equals_torch(name: str, size: str, shape: tuple[int, int]) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     given = graphs.FORMS[name].examples(*shape)
     exact = runtime.make_ready(network(name, size), "fp32")(*given)
     found = graphs.Portable(runtime.make_ready(network(name, size), "onnx"), name)(*given)
@@ -129,7 +131,6 @@ def test_onnx_equals_torch(name: str, size: str, shape: tuple[int, int]) -> None
 
 
 def test_graphs_are_kept_a_size_and_hold_the_header() -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     ready = runtime.make_ready(network("mffnet", "s"), "onnx", {"net": "mffnet"})
     net = graphs.Portable(ready, "mffnet")
     for width in (32, 64, 32):
@@ -141,7 +142,6 @@ def test_graphs_are_kept_a_size_and_hold_the_header() -> None:
 
 @pytest.mark.parametrize(("name", "size"), [("bts", "s"), ("mffnet", "s")])
 def test_the_command_writes_a_file_that_opens(name: str, size: str, tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     from priors.nets.export import export
 
     file, out = tmp_path / "a.safetensors", tmp_path / "a.onnx"
@@ -153,22 +153,22 @@ def test_the_command_writes_a_file_that_opens(name: str, size: str, tmp_path: Pa
 
 
 def test_the_methods_run_in_onnxruntime(tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
-    from priors.methods._mono_network import estimate, open_network
+    from priors.methods._mono_network import estimate
+    from priors.methods._network import Network
 
     rng = np.random.default_rng(0)
     image = rng.integers(0, 256, (45, 70, 3), dtype=np.uint8)
     camera = Camera(np.array([[100.0, 0, 35], [0, 100, 15], [0, 0, 1]]), (45, 70))
     file = tmp_path / "bts-s.safetensors"
     weights.write(file, network("bts", "s"), {"net": "bts", "size": "s"})
-    ours, theirs = (estimate(open_network("s", how, file), image, camera)[0] for how in ("onnx", "fp32"))
+    ours, theirs = (estimate(Network("bts", "s", how, file).open(), image, camera).values for how in ("onnx", "fp32"))
     np.testing.assert_allclose(ours, theirs, rtol=5e-3)
     assert Mono(size="s", runtime="onnx", weights=file).weights_digest()
     file = tmp_path / "mffnet-s.safetensors"
     weights.write(file, network("mffnet", "s"), {"net": "mffnet", "size": "s"})
     sparse_m = np.where(rng.random((45, 70)) < 0.1, np.float32(20), np.float32(0))
     made = [
-        Completion(model="mffnet", size="s", runtime=how, weights=file).mend(sparse_m, image, camera)
+        Completion(model="mffnet", size="s", runtime=how, weights=file).fill(sparse_m, image, camera)
         for how in ("onnx", "fp32")
     ]
     np.testing.assert_allclose(made[0].depth_m, made[1].depth_m, rtol=5e-3)

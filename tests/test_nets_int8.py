@@ -13,7 +13,7 @@ from priors.machine import cpu
 from priors.nets import int8, runtime, speeds, weights
 from priors.nets.blocks import Residual, conv, fold
 from priors.nets.fused import FusedResidual, fuse
-from priors.nets.int8 import IntegerConv, Range
+from priors.nets.int8 import ActivationRange, IntegerConv
 from priors.nets.tensors import as_bits
 
 KINDS = pytest.mark.parametrize("kind", [torch.float32, torch.bfloat16])
@@ -28,7 +28,7 @@ def wide_map(channels: int, low: float, high: float, seed: int = 0) -> torch.Ten
 @pytest.mark.parametrize("count", [1, 255, 4099])
 def test_numbers_are_rounded_to_their_nearest_step(kind: torch.dtype, count: int) -> None:
     values = (torch.randn(count, generator=torch.Generator().manual_seed(count)) * 3).to(kind)
-    span, out = Range(-2.0, 4.0), np.empty(count, np.uint8)
+    span, out = ActivationRange(-2.0, 4.0), np.empty(count, np.uint8)
     numbers = torch.tensor([1 / span.scale, span.zero]).numpy()
     quantise(as_bits(values), numbers[0], numbers[1], out, 0, count)
     exact = values.double().numpy() / span.scale + span.zero
@@ -44,7 +44,7 @@ def test_an_integer_convolution_is_a_convolution(kind: torch.dtype, low: float, 
     torch.manual_seed(0)
     layer = nn.Conv2d(32, 16, 3, stride, padding=1)
     # The lower half of the steps is used: products of pairs stay within 16 bits on CPUs without VNNI too.
-    span = Range(low, high + 2 * (high - low))
+    span = ActivationRange(low, high + 2 * (high - low))
     x = wide_map(32, low, high).to(kind)
     whole = IntegerConv(layer.requires_grad_(False).to(kind), span)
     wanted = torch.relu(layer.float()(x.float()))
@@ -64,8 +64,8 @@ def test_a_residual_block_hands_bytes_from_one_to_the_other() -> None:
     x = wide_map(32, 0, 1)
     wanted = block(x)
     between = block[0].first(x)
-    block[0].first[0].span = Range(0, 3)
-    block[0].second[0].span = Range(0, 3 * float(between.max()))
+    block[0].first[0].span = ActivationRange(0, 3)
+    block[0].second[0].span = ActivationRange(0, 3 * float(between.max()))
     fused = fuse(block)
     assert isinstance(fused[0], FusedResidual) and isinstance(fused[0].second, IntegerConv)
     assert float((fused(x) - wanted).norm() / wanted.norm()) < 0.03

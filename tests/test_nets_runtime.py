@@ -156,20 +156,11 @@ def test_auto_follows_the_measured_table(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
     monkeypatch.setattr(speeds, "table", lambda: {"machine": "a test", "modes": measured})
     chosen = {}
-    for onnx in (True, False):
-        monkeypatch.setattr(speeds, "has_onnx", lambda there=onnx: there)
-        for mode in ("avx512_bf16", "avx2", "plain"):
-            monkeypatch.setattr(runtime.cpu, "mode", lambda mode=mode: mode)
-            chosen[mode, onnx] = choose("auto", None, "cfnet")
-            assert choose("auto", None, "pcwnet") == ("bf16" if mode == "avx512_bf16" else "fp32")  # not measured
-    assert chosen == {
-        ("avx512_bf16", True): "fp32",
-        ("avx512_bf16", False): "fp32",
-        ("avx2", True): "onnx",
-        ("avx2", False): "fp32",
-        ("plain", True): "fp32",
-        ("plain", False): "fp32",
-    }
+    for mode in ("avx512_bf16", "avx2", "plain"):
+        monkeypatch.setattr(runtime.cpu, "mode", lambda mode=mode: mode)
+        chosen[mode] = choose("auto", None, "cfnet")
+        assert choose("auto", None, "pcwnet") == ("bf16" if mode == "avx512_bf16" else "fp32")  # not measured
+    assert chosen == {"avx512_bf16": "fp32", "avx2": "onnx", "plain": "fp32"}
 
 
 def test_the_shipped_table_knows_only_networks_and_runtimes_that_there_are() -> None:
@@ -225,7 +216,6 @@ def test_images_become_tensors() -> None:
 
 
 def test_onnx_equals_torch(tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     from priors.nets.export import Graph, Graphs, to_onnx
 
     left, right = (as_input(view) for view in images())
@@ -261,7 +251,6 @@ def test_runtimes_agree_on_real_pairs(path: Path, real_data: RealData) -> None:
         nets = [open_net(name, size, how) for how in ("fp32", "bf16")]
         exact, rough = (as_map(net(left, right, largest_px=96).disparity_px) for net in nets)
         near.append(np.abs(exact - rough) <= 0.1)
-        pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
         from priors.nets.export import Graphs
 
         portable = Graphs(open_net(name, size, "onnx"))(left, right, 96)[0]

@@ -7,16 +7,25 @@ from pathlib import Path
 
 import pytest
 
+from cli import nerf, priors
+
+LAZY = "onnxruntime onnx skimage matplotlib jinja2 av"
+"""Packages that are imported where they are used."""
 ROOT = Path(__file__).resolve().parents[1]
 
 
 @pytest.fixture(scope="module")
-def wheel_names(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("wheel")
     command = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(ROOT)]
     subprocess.run(command, check=True, capture_output=True)
-    with zipfile.ZipFile(next(folder.glob("*.whl"))) as wheel:
-        return wheel.namelist()
+    return next(folder.glob("*.whl"))
+
+
+@pytest.fixture(scope="module")
+def wheel_names(wheel: Path) -> list[str]:
+    with zipfile.ZipFile(wheel) as archive:
+        return archive.namelist()
 
 
 def test_the_wheel_holds_our_packages_only(wheel_names: list[str]) -> None:
@@ -29,6 +38,19 @@ def test_the_wheel_holds_every_module(wheel_names: list[str]) -> None:
         str(p.relative_to(ROOT)) for top in ("priors", "eval", "nerf", "cli") for p in (ROOT / top).rglob("*.py")
     }
     assert modules <= set(wheel_names)
+
+
+def test_the_wheel_writes_a_report_page(wheel: Path, tmp_path: Path) -> None:
+    """The page's template is no module: it must be in the wheel, and found there."""
+    with zipfile.ZipFile(wheel) as archive:
+        archive.extractall(tmp_path)
+    code = (
+        "import priors.report.page as page, pathlib, sys\n"
+        "assert page.__file__.startswith(sys.argv[1]), page.__file__\n"
+        "page.Page('A title', '', []).write(pathlib.Path('a.html'))\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True, cwd=tmp_path)
+    assert "<h1>A title</h1>" in (tmp_path / "a.html").read_text()
 
 
 def import_all(barred: str, packages: str, beside: str = "triton") -> None:
@@ -44,22 +66,36 @@ def import_all(barred: str, packages: str, beside: str = "triton") -> None:
     subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT)
 
 
-def test_nothing_needs_open3d() -> None:
-    """The main path runs without the system libraries that open3d wants."""
-    import_all("open3d onnxruntime matplotlib triton", "priors eval nerf cli")
+def test_heavy_packages_are_imported_where_they_are_used() -> None:
+    """No module needs them to be imported: open3d wants system libraries, the others are for some commands only."""
+    import_all("open3d triton " + LAZY, "priors eval nerf cli")
 
 
 def test_depth_maps_need_no_torch() -> None:
     """What needs no network works without torch, and no method imports it before a network is asked for."""
-    import_all("open3d torch onnxruntime matplotlib", "priors eval", r"\.(nets|adapt|learn)\.|_(network|supervision)$")
+    import_all("open3d torch " + LAZY, "priors eval", r"\.(nets|adapt|learn)\.|_(network|supervision)$")
+
+
+def imported_by_help(program: str, command: str) -> set[str]:
+    """Return the packages that a command's --help imports, in a process of its own."""
+    code = (
+        f"import sys\nfrom cli.{program} import PROGRAM\n"
+        f"try: PROGRAM.run([{command!r}, '--help'])\nexcept SystemExit: pass\n"
+        "print(*{name.split('.')[0] for name in sys.modules}, file=sys.stderr)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, capture_output=True, text=True)
+    return set(done.stderr.strip().splitlines()[-1].split())
 
 
 def test_help_imports_no_compiler() -> None:
-    """Numba costs half a second to import: no command's --help may pay it."""
-    code = (
-        "import sys\nfrom cli.priors import PROGRAM\n"
-        "try: PROGRAM.run(['build', '--help'])\nexcept SystemExit: pass\n"
-        "print([m for m in ('numba', 'scipy', 'embreex', 'torch') if m in sys.modules], file=sys.stderr)\n"
-    )
-    done = subprocess.run([sys.executable, "-c", code], check=True, cwd=ROOT, capture_output=True, text=True)
-    assert done.stderr.strip().splitlines()[-1] == "[]"
+    """Numba costs half a second to import, torch more: the --help of the usual commands may not pay it."""
+    for command in ("build", "eval", "show"):
+        assert not {"numba", "scipy", "embreex", "torch"} & imported_by_help("priors", command), command
+
+
+@pytest.mark.parametrize(
+    ("program", "command"),
+    [(each.name, command) for each in (priors.PROGRAM, nerf.PROGRAM) for command in each.commands],
+)
+def test_help_imports_nothing_that_only_results_need(program: str, command: str) -> None:
+    assert not {*LAZY.split(), "open3d"} & imported_by_help(program, command)

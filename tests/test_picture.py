@@ -1,4 +1,4 @@
-"""Pictures and plots: fixed scales, black where there is nothing, and drawn what was asked for."""
+"""Pictures: fixed scales, black where there is nothing, and drawn what was asked for."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,6 @@ from priors.draw.colours import (
     thicken,
 )
 from priors.draw.panel import Tile
-from priors.draw.plot import Line, plot, ticks
 from priors.types import Depth
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -38,7 +37,7 @@ def test_depth_colours_are_a_fixed_scale_and_black_is_no_value():
 
 
 def test_no_colour_of_a_scale_is_near_black():
-    for table in (colours.DEPTH_COLOURS, colours.CONFIDENCE_COLOURS, GOOD_TO_BAD, colours.NEAR_TO_FAR):
+    for table in (colours.DEPTH_COLOURS, colours.CONFIDENCE_COLOURS, GOOD_TO_BAD):
         assert table.max(axis=1).min() > 60
     assert not (np.array(MISSING) == GOOD_TO_BAD).all(axis=1).any()
 
@@ -48,7 +47,6 @@ def test_extreme_maps_are_painted_without_a_warning():
         for painted in (
             colour_depth(EXTREMES),
             colour_error(EXTREMES, truth),
-            colours.colour_signed_error(EXTREMES, truth),
             colour_confidence(EXTREMES, EXTREMES > 0),
         ):
             assert painted.dtype == np.uint8
@@ -68,14 +66,6 @@ def test_error_colours_step_at_their_edges():
 def test_a_truth_without_a_prediction_is_neither_good_nor_black():
     painted = colour_error(np.array([[0, 5, 0]], np.float32), np.array([[5, 0, 0]], np.float32))[0]
     assert painted.tolist() == [list(MISSING), [0, 0, 0], [0, 0, 0]]
-
-
-def test_signed_errors_tell_near_from_far():
-    truth = np.full((1, 3), 10.0, np.float32)
-    near, right, far = colours.colour_signed_error(np.array([[8, 10, 12]], np.float32), truth)[0].astype(int)
-    assert near[2] > near[0] + 50
-    assert far[0] > far[2] + 50
-    assert right.min() > 230
 
 
 def test_thickening_grows_into_black_only():
@@ -137,53 +127,6 @@ def test_captions_and_bars_are_drawn():
     assert {tuple(colour) for colour in GOOD_TO_BAD.tolist()} <= {tuple(c) for c in strip.reshape(-1, 3).tolist()}
     assert (strip[:, :80] != panel.PAPER).any()
     assert (panel.panel([Tile(blank, "")], 1, 300)[:40, :80] == panel.PAPER).all()
-
-
-def test_overlay_tints_inside_only():
-    image = np.full((10, 10), 100, np.uint8)
-    mask = np.zeros((10, 10), bool)
-    mask[2:8, 2:8] = True
-    tinted = panel.overlay(image, mask, (0, 0, 255))
-    assert (tinted[~mask] == 100).all()
-    assert tinted[5, 5].tolist() == [55, 55, 169]
-    assert tinted[2, 2].tolist() == [0, 0, 255]  # the outline
-
-
-@pytest.mark.parametrize(
-    ("span", "expected"),
-    [
-        ((0, 1), [0, 0.2, 0.4, 0.6, 0.8, 1.0]),
-        ((0, 0.013), [0, 0.005, 0.01, 0.015]),
-        ((2, 100), [0, 20, 40, 60, 80, 100]),
-        ((-3, 7), [-4, -2, 0, 2, 4, 6, 8]),
-    ],
-)
-def test_ticks_are_round_and_enclose(span, expected):
-    np.testing.assert_allclose(ticks(*span), expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("span", [(0, 0), (5, 5), (1e-30, 2e-30), (0, 1e30)])
-def test_ticks_of_odd_spans_are_few_and_rise(span):
-    made = ticks(*span)
-    assert 2 <= len(made) < 20
-    assert (np.diff(made) > 0).all()
-
-
-def test_a_curve_is_drawn_through_its_points():
-    x = np.linspace(0, 100, 11)
-    made = plot([Line("flat", x, np.full(11, 5.0)), Line("rising", x, x / 10, dashed=True)], "x", "y")
-    assert made.shape == (400, 640, 3)
-    # y runs over 0..10 from 400 - BOTTOM_PX up to TOP_PX: a flat 5 is half-way, all along.
-    middle = (400 - 44 + 62) // 2
-    blue = (made[middle - 1 : middle + 2].astype(int) - (90, 170, 250)).__abs__().sum(axis=2).min(axis=0) < 40
-    assert blue[80:600].mean() > 0.95
-    assert not blue[:50].any()
-
-
-def test_plots_of_nothing_and_of_gaps_do_not_fail():
-    for y in (np.full(3, np.nan), np.array([1.0, np.nan, np.inf]), np.zeros(3)):
-        assert plot([Line("gap", np.arange(3.0), y)], "x", "y").shape == (400, 640, 3)
-    assert plot([], "x", "y", size=(200, 300)).shape == (200, 300, 3)
 
 
 def test_a_long_caption_ends_before_the_bar() -> None:

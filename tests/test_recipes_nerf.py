@@ -1,8 +1,5 @@
 """The recipe "add a field family": the page's own code, in a temporary folder, through the public doors."""
 
-import json
-import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,66 +11,66 @@ from nerf import checkpoint, fields
 from nerf.config import FitConfig, ModelConfig
 from nerf.fit import Status, fit
 from nerf.run import begin, open_run
-from priors import build
-from priors.cache import Prior
+from priors import build, extensions
 from priors.drives import open_drive
 from priors.errors import DataError
-from priors.filters import Filters
 from priors.methods.lidar import Lidar
 from priors.street.write import write_street
 from tests.test_nerf_fit import corridor
+from tests.test_recipes import add, run, run_recipe
 
-ROOT = Path(__file__).resolve().parents[1]
-BLOCKS = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "recipes_family.md").read_text(), re.DOTALL)
-SETTING, FAMILY, PROGRAM, SCRIPT = BLOCKS
-STEPS = 120
+TITLE = "Add a field family"
 
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """street/, and my-families/ with the page's two families."""
+    """street/, and mine/fields/ with the page's two families."""
     folder = tmp_path_factory.mktemp("home")
     write_street(folder / "street", 10, 7, (32, 96))
-    (folder / "my-families").mkdir()
-    (folder / "my-families" / "voxels.py").write_text(FAMILY)
-    (folder / "my-families" / "wider.py").write_text(SETTING)
+    add(TITLE, folder)
     return folder
 
 
 @pytest.fixture
 def families(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Make the folder one of the registry's, in this process."""
-    monkeypatch.setattr(fields, "__path__", [*fields.__path__, str(home / "my-families")])
+    monkeypatch.setattr(fields, "__path__", [*fields.__path__, str(home / "mine" / "fields")])
     for name in ("voxels", "wider"):
         monkeypatch.delitem(sys.modules, f"nerf.fields.{name}", raising=False)
 
 
-def lidar(home: Path) -> Prior:
-    drive = open_drive(home / "street")
-    prior, method = build.prepare(drive, "lidar", Lidar(), Filters(), home / "cache")
-    build.build(drive, prior, method, Filters(), build.plan(drive, prior, method.reads, build.Selection()))
-    return prior
+def test_the_command_fits_and_scores_it(home: Path) -> None:
+    (printed,) = run_recipe(TITLE, home)
+    assert "PSNR" in printed
+    (folder,) = home.glob("runs/*-voxels-dense")
+    mine = {extensions.VARIABLE: "mine"}
+    assert run(f"nerf render {folder} --frames 2:4 --out views", home, **mine).returncode == 0
+    assert len(list((home / "views").rglob("*.png"))) == 6
+    without = run(f"nerf eval {folder}", home)
+    assert without.returncode == 1
+    assert without.stderr.startswith("error: unknown field 'voxels': choose one of mip360, nerfpp, ngp, or name the")
 
 
 @pytest.mark.usefixtures("families")
-def test_a_new_family_is_fitted_scored_opened_and_rendered(home: Path, tmp_path: Path) -> None:
+def test_it_learns_leans_on_a_prior_and_is_opened_again(home: Path, tmp_path: Path) -> None:
     assert {"voxels", "wider"} <= set(fields.names())
     drive, seen = open_drive(home / "street"), list[Status]()
-    config = FitConfig(ModelConfig(family="voxels"), rays=512, steps=STEPS)
-    run = begin(drive, lidar(home), fit=config, folder=tmp_path / "run")
-    model = run.fit("cpu", seen.append)
+    prior = build.prepare(drive, Lidar(), folder=home / "cache").run().prior
+    config = FitConfig(ModelConfig(family="voxels"), rays=512, steps=120)
+    one_run = begin(drive, prior, fit=config, folder=tmp_path / "run")
+    model = one_run.fit("cpu", seen.append)
     assert set(seen[-1].terms) == {"rgb", "depth"}
     assert float(seen[-1].loss) < 0.7 * float(seen[0].loss)
-    assert run.report("cpu").metrics()["psnr"] > 12
+    assert one_run.report("cpu").metrics()["psnr"] > 12
     again = open_run(tmp_path / "run").open_model("cpu")
-    pose, camera = run.scene.T_world_cam[9], run.scene.camera
+    pose, camera = one_run.scene.T_world_cam[9], one_run.scene.camera
     one, other = model.render(pose, camera), again.render(pose, camera)
     assert all(np.array_equal(getattr(one, name), getattr(other, name)) for name in ("rgb", "depth_m", "opacity"))
 
 
 @pytest.mark.usefixtures("families")
 @pytest.mark.parametrize("family", ["voxels", "wider"])
-def test_a_new_family_resumes_bit_for_bit(tmp_path: Path, family: str) -> None:
+def test_it_resumes_bit_for_bit(tmp_path: Path, family: str) -> None:
     scene = corridor("sparse")
     model = ModelConfig(family=family, log2_size=12, finest=128, width=16)
     config = FitConfig(model, rays=256, steps=12)
@@ -99,30 +96,11 @@ def test_another_familys_checkpoint_is_refused(tmp_path: Path) -> None:
         fit(scene, FitConfig(small, rays=64, steps=2), tmp_path)
 
 
-def test_an_unknown_family_is_refused_in_a_line(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no such family: choose one of mip360, nerfpp, ngp"):
-        fit(corridor(), FitConfig(ModelConfig(family="voxels"), steps=1), tmp_path)
-
-
-NAMED = PROGRAM.split("from cli.nerf")[0]
-"""Names the folder; without the command that follows it."""
-
-
-@pytest.mark.parametrize(
-    ("program", "arguments", "last"),
-    [
-        (PROGRAM, ["fit", "street", "--field", "voxels", "--steps", "5"], "wrote runs/"),
-        (NAMED + SCRIPT, [], ""),
-    ],
-    ids=["command", "script"],
-)
-def test_the_pages_programs_run(home: Path, tmp_path: Path, program: str, arguments: list[str], last: str) -> None:
-    for name in ("street", "my-families"):
-        (tmp_path / name).symlink_to(home / name)
-    (tmp_path / "program.py").write_text(program)
-    command = [sys.executable, "program.py", *arguments]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.splitlines()[-1].startswith(last)
-    [report] = tmp_path.glob("runs/*-voxels-dense/metrics.json")
-    assert json.loads(report.read_text())["metrics"]["psnr"] > 5
+def test_a_file_without_a_family_is_told(tmp_path: Path) -> None:
+    write_street(tmp_path / "street", 3, 7, (32, 96))
+    (tmp_path / "mine" / "fields").mkdir(parents=True)
+    (tmp_path / "mine" / "fields" / "odd.py").write_text("x = 1")
+    done = run("nerf fit street --field odd --steps 1", tmp_path, **{extensions.VARIABLE: "mine"})
+    assert done.returncode == 1
+    (told,) = [line for line in done.stderr.splitlines() if line.startswith("error: ")]
+    assert "odd.py: a field family's file needs FAMILY: see docs/architecture.md" in told

@@ -29,8 +29,7 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_short_fit_reaches_its_quality(street: Path) -> None:
     drive, filters = open_drive(street / "street"), Filters(sky="mask")
-    prior, method = build.prepare(drive, "stereo", Stereo(), filters, street / "cache")
-    build.build(drive, prior, method, filters, build.plan(drive, prior, method.reads, build.Selection()))
+    prior = build.prepare(drive, Stereo(), filters, street / "cache").run().prior
     scene = open_scene(drive, prior, SceneConfig("sparse"), street / "scenes")
     config = FitConfig(ModelConfig(width=WIDTH), LossConfig(loss="mse"), rays=RAYS, steps=STEPS)
     render = fit(scene, config, street / "run").render

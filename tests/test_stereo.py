@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from reference import stereo as reference
 
+from priors import build
 from priors.codecs import FARTHEST_M
 from priors.drives import DriveOptions, open_drive
 from priors.drives._rigs import KITTI
@@ -22,8 +23,9 @@ from priors.kernels.diffusion import diffuse_columns, link_columns
 from priors.kernels.occlusion import fill_occlusions
 from priors.methods.stereo import Stereo
 from priors.pairs.matching import find_max_disparity, halve, match, quick_match, unlock
-from priors.pairs.offset import NONE, Offset, fit_points, gather, usual_offset
+from priors.pairs.rectification import NONE, RectificationError, compare, fit, usual_error
 from priors.pairs.smoothing import diffuse
+from priors.selection import Selection
 from priors.types import Camera, Depth, FloatMap, Frame, Rig, Sweep
 
 FX, BASELINE_M = 500.0, 0.5
@@ -211,21 +213,22 @@ def test_resolve_without_lidar_is_what_the_rig_usually_has() -> None:
     left, right, _ = scene()
     assert Stereo().resolve(frame(left, right)) == Stereo(offset_px=ZERO, scale=1.0)
     made = frame(left, right, rig=KITTI)
-    kitti, usual = Stereo().resolve(made), usual_offset(KITTI, made.camera)
-    assert (kitti.offset_px, kitti.scale) == (usual.field_px, usual.scale) != (ZERO, 1.0)
+    kitti, usual = Stereo().resolve(made), usual_error(KITTI, made.camera)
+    assert (kitti.offset_px, kitti.scale) == (usual.offset_px, usual.scale) != (ZERO, 1.0)
     given = Stereo(offset_px=(1, 2, 3)).resolve(frame(left, right, rig=KITTI))
     assert (given.offset_px, given.scale) == ((1, 2, 3, 0), 1.0)
-    with pytest.raises(DataError, match="5 numbers, expected at most a b c e"):
+    with pytest.raises(DataError, match=r"--stereo\.offset-px 1 2 3 4 5: expected at most 4 numbers"):
         Stereo(offset_px=(1, 2, 3, 4, 5))
 
 
 def test_a_correction_is_told(raw_drive: Path, tmp_path: Path) -> None:
-    drive, notes = open_drive(raw_drive), list[str]()
-    corrected = Stereo(offset_px=(0.5, 0, 1.1), scale=0.981)
-    assert corrected.prepare(drive, tmp_path, notes.append) is corrected
-    assert IMAGES_ONLY.prepare(drive, tmp_path, notes.append) is IMAGES_ONLY
+    notes: list[str] = []
+    method = Stereo(offset_px=(0.5, 0, 1.1), scale=0.981, max_disparity_px=16)
+    job = build.prepare(open_drive(raw_drive), method, folder=tmp_path)
+    job.run(job.plan(Selection(frames=":1")), on_note=notes.append)
     (note,) = notes
-    assert "0.981 d +0.50 +0.00 X +1.10 X²" in note and "\n" not in note
+    assert "times 0.981, shift +0.50 px, tilt +0.00 px, yaw +1.10 px, pitch +0.00 px" in note and "\n" not in note
+    assert not IMAGES_ONLY.notes()
 
 
 def test_scale_multiplies_the_disparity() -> None:
@@ -266,31 +269,31 @@ def road_and_walls() -> tuple[Camera, FloatMap, FloatMap]:
 def test_the_usual_offset_is_of_the_images_size() -> None:
     """An image of a third of the size has a third of the offset, at the same place of the scene."""
     whole, third = (Camera(np.diag([size, size, 1.0]), (4, 4)) for size in (720.0, 240.0))
-    expected = np.array(usual_offset(KITTI, whole).field_px) / 3
-    assert usual_offset(KITTI, third).field_px == pytest.approx(expected, abs=1e-3)
-    assert usual_offset(KITTI, third).scale == usual_offset(KITTI, whole).scale != 1
-    assert usual_offset(None, whole) == NONE
+    expected = np.array(usual_error(KITTI, whole).offset_px) / 3
+    assert usual_error(KITTI, third).offset_px == pytest.approx(expected, abs=1e-3)
+    assert usual_error(KITTI, third).scale == usual_error(KITTI, whole).scale != 1
+    assert usual_error(None, whole) == NONE
 
 
 @pytest.mark.parametrize("rig", [None, KITTI])
 def test_offset_has_a_curve_and_a_scale(rig: Rig | None) -> None:
     rng = np.random.default_rng(0)
     camera, matched_px, slope = road_and_walls()
-    usual = usual_offset(rig, camera)
-    true = Offset((0.5, -0.2, 2.0, -1.0), 0.985)
+    usual = usual_error(rig, camera)
+    true = RectificationError(0.5, -0.2, 2.0, -1.0, 0.985)
     true_px = true.correct(matched_px, camera) + rng.normal(0, 0.1, slope.shape).astype(np.float32)
-    found = fit_points(gather(camera, true_px, matched_px, slope), usual)
-    assert found.field_px == pytest.approx(true.field_px, abs=0.05)
+    found = fit(compare(camera, true_px, matched_px, slope), usual)
+    assert found.offset_px == pytest.approx(true.offset_px, abs=0.05)
     assert found.scale == pytest.approx(true.scale, abs=0.002)
-    assert fit_points(gather(camera, np.zeros_like(matched_px), matched_px, slope), usual) == usual
+    assert fit(compare(camera, np.zeros_like(matched_px), matched_px, slope), usual) == usual
 
 
 def test_offset_is_not_the_lidars_tilt() -> None:
     rng = np.random.default_rng(0)
     camera, matched_px, slope = road_and_walls()
     true_px = matched_px + 0.5 + 1.2 * slope + rng.normal(0, 0.1, slope.shape).astype(np.float32)
-    found = fit_points(gather(camera, true_px, matched_px, slope))
-    assert found.field_px == pytest.approx((0.5, 0, 0, 0), abs=0.05)
+    found = fit(compare(camera, true_px, matched_px, slope))
+    assert found.offset_px == pytest.approx((0.5, 0, 0, 0), abs=0.05)
     assert found.scale == pytest.approx(1, abs=0.003)
 
 
@@ -299,7 +302,7 @@ def test_offset_in_the_mirror() -> None:
     camera, matched_px, _ = road_and_walls()
     K = camera.K.copy()
     K[0, 2] = 319 - K[0, 2]
-    offset = Offset((0.5, -0.2, 2.0, -1.0), 0.985)
+    offset = RectificationError(0.5, -0.2, 2.0, -1.0, 0.985)
     mirrored = offset.mirrored().correct(matched_px[:, ::-1], Camera(K, camera.size))
     np.testing.assert_allclose(mirrored[:, ::-1], offset.correct(matched_px, camera), atol=1e-5)
 

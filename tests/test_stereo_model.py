@@ -12,7 +12,6 @@ from test_stereo import BASELINE_M, FX, frame, pair, scene
 from priors import build
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
-from priors.filters import Filters
 from priors.methods import _stereo_network as network
 from priors.methods.stereo import Stereo
 from priors.nets import runtime, weights
@@ -173,20 +172,20 @@ def test_twelve_million_pixels() -> None:
 def test_the_key_holds_the_weights(standin: Path, tmp_path: Path) -> None:
     left, right, _ = scene()
     drive = Pairs(frame(left, right))
-    classical, _ = build.prepare(drive, "stereo", Stereo(), Filters(), tmp_path)
+    classical = build.prepare(drive, Stereo(), folder=tmp_path).prior
     assert classical.manifest["weights"] is None
-    first, _ = build.prepare(drive, "stereo", Stereo(model="cfnet", runtime="fp32"), Filters(), tmp_path)
+    first = build.prepare(drive, Stereo(model="cfnet", runtime="fp32"), folder=tmp_path).prior
     assert first.manifest["weights"] == weights.digest(standin)
     moved = tmp_path / "elsewhere" / standin.name
     moved.parent.mkdir()
     moved.write_bytes(standin.read_bytes())
     here, there = (
-        build.prepare(drive, "stereo", Stereo(model="cfnet", runtime="fp32", weights=path), Filters(), tmp_path)[0]
+        build.prepare(drive, Stereo(model="cfnet", runtime="fp32", weights=path), folder=tmp_path).prior
         for path in (standin, moved)
     )
     assert here.folder == there.folder and here.manifest["config"]["weights"] == standin.name
     weights.rewrite_about(standin, steps=3)
-    second, _ = build.prepare(drive, "stereo", Stereo(model="cfnet", runtime="fp32"), Filters(), tmp_path)
+    second = build.prepare(drive, Stereo(model="cfnet", runtime="fp32"), folder=tmp_path).prior
     assert len({classical.folder, first.folder, second.folder}) == 3
 
 
@@ -205,7 +204,6 @@ def test_weights_need_a_network() -> None:
 
 
 def test_onnx_gives_the_same_depth(tmp_path: Path) -> None:
-    pytest.importorskip("onnxruntime", reason="onnxruntime is not installed (pip install 'roadprior[onnx]')")
     from priors import codecs
     from priors.nets.export import to_onnx
 

@@ -13,7 +13,7 @@ from priors.street.config import StreetConfig
 from priors.street.materials import Material
 from priors.street.noise import band, fade, hash_, line
 from priors.street.path import Ego, Path
-from priors.street.scene import Body, Scene
+from priors.street.raycast import Body, RayCaster
 from priors.street.street import Street
 
 SIZE = (96, 320)
@@ -49,7 +49,7 @@ def test_the_right_camera_sees_no_deeper_than_the_left_ones_points(street, pair)
     camera, T_world_cam = rig.camera(SIZE), street.T_world_cam(0.5)
     xyz_world = geometry.transform(T_world_cam, geometry.unproject(camera, pair[2]).astype(np.float64))
     right = rig.right_of(T_world_cam)[:3, 3]
-    hits = street.scene.cast(right[None].astype(np.float32), (xyz_world - right).astype(np.float32), 0.5)
+    hits = street.caster.cast(right[None].astype(np.float32), (xyz_world - right).astype(np.float32), 0.5)
     assert np.mean(hits.distance < 1.001) > 0.995
     assert np.mean(np.abs(hits.distance - 1) < 0.001) > 0.75
 
@@ -113,7 +113,7 @@ def test_the_scanner_meets_what_stands_there_at_each_points_own_time(street):
     np.testing.assert_allclose(times, -0.1 / (2 * np.pi) * azimuth, atol=1e-6)
     poses = street.T_world_velo(0.5 + times)
     rays = np.einsum("nij,nj->ni", poses[:, :3, :3], points[:, :3].astype(np.float64))
-    hits = street.scene.cast(poses[:, :3, 3].astype(np.float32), rays.astype(np.float32), 0.5 + times)
+    hits = street.caster.cast(poses[:, :3, 3].astype(np.float32), rays.astype(np.float32), 0.5 + times)
     off_m = (hits.distance - 1) * np.linalg.norm(rays, axis=1)
     usual = np.abs(off_m) < 0.2
     assert usual.mean() > 0.97  # the rest passed an edge by less than the beam's jitter
@@ -124,8 +124,8 @@ def test_the_scanner_meets_what_stands_there_at_each_points_own_time(street):
 def test_casting_equals_the_loop_for_still_and_moving_things():
     rng = np.random.default_rng(1)
     corner = rng.uniform(-5, 5, (6, 1, 3))
-    still = mesh.boxes(np.concatenate([corner, corner + 1], axis=1), Material.PLAIN, [0.5] * 3)
-    thing = mesh.box([-1, -1, -1], [1, 0.5, 1], Material.PLAIN, [0.5] * 3)
+    still = mesh.boxes(np.concatenate([corner, corner + 1], axis=1), mesh.Finish(Material.PLAIN, [0.5] * 3))
+    thing = mesh.box([-1, -1, -1], [1, 0.5, 1], mesh.Finish(Material.PLAIN, [0.5] * 3))
 
     def pose(time_s):
         T = np.tile(np.eye(4), (len(time_s), 1, 1))
@@ -134,7 +134,7 @@ def test_casting_equals_the_loop_for_still_and_moving_things():
         T[:, 0, 0], T[:, 0, 1], T[:, 1, 0], T[:, 1, 1] = cos, -sin, sin, cos
         return T
 
-    scene = Scene(still, [Body(thing, pose)])
+    scene = RayCaster(still, [Body(thing, pose)])
     origins = rng.uniform(-8, 8, (150, 3)).astype(np.float32)
     directions = (rng.uniform(-4, 4, (150, 3)) - origins).astype(np.float32)
     times = rng.uniform(-0.05, 0.05, 150)
@@ -148,15 +148,15 @@ def test_casting_equals_the_loop_for_still_and_moving_things():
 
 
 def test_light_is_blocked_by_the_moving_thing_where_it_is():
-    floor = mesh.quads([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], Material.PLAIN, [0.5] * 3)
-    roof = mesh.quads([(-1, -1, 2), (1, -1, 2), (1, 1, 2), (-1, 1, 2)], Material.PLAIN, [0.5] * 3)
+    floor = mesh.quads([(-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0)], mesh.Finish(Material.PLAIN, [0.5] * 3))
+    roof = mesh.quads([(-1, -1, 2), (1, -1, 2), (1, 1, 2), (-1, 1, 2)], mesh.Finish(Material.PLAIN, [0.5] * 3))
 
     def pose(time_s):
         T = np.tile(np.eye(4), (len(time_s), 1, 1))
         T[:, 0, 3] = time_s
         return T
 
-    scene = Scene(floor, [Body(roof, pose)])
+    scene = RayCaster(floor, [Body(roof, pose)])
     places = np.array([[0, 0, 0.1], [5, 0, 0.1]], np.float32)
     up = np.array([0, 0, 1], np.float32)
     np.testing.assert_array_equal(scene.blocked(places, up, 0.0), [True, False])

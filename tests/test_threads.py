@@ -200,13 +200,13 @@ def test_a_command_uses_as_many_threads_as_it_is_told(
     from priors import build
 
     seen: list[tuple[int, int]] = []
-    original = build.build
+    original = build.Job.run
 
     def spy(*args: object, **kwargs: object) -> object:
         seen.append((threads.count(), cv2.getNumThreads()))
         return original(*args, **kwargs)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(build, "build", spy)
+    monkeypatch.setattr(build.Job, "run", spy)
     before = settings()[:3]
     arguments = ["build", str(raw_drive), "--method", "lidar", "--cache", str(tmp_path / "cache"), "--threads", "3"]
     assert PROGRAM.run(arguments) == 0
@@ -218,7 +218,7 @@ def answers() -> list[torch.Tensor]:
     """What kernels make of the same random inputs: images, features, logits."""
     import numpy as np
 
-    from priors.nets import intake, matching, upsample
+    from priors.nets import matching, stereo_input, upsample
     from priors.nets.confidence import is_hidden
     from priors.sky import sky_mask
 
@@ -237,7 +237,7 @@ def answers() -> list[torch.Tensor]:
             matching.lookup_beside([left.permute(0, 2, 3, 1)], left, right, disparity_px, 4, [disparity_px]),
             *matching.expect(disparity_px, torch.arange(6.0)[None, None, None], 2),
             upsample.convex(disparity_px[:, :, :, :2].permute(0, 3, 1, 2), logits, 4),
-            *intake.take_in(pixels, pixels.flip(3), torch.bfloat16),
+            *stereo_input.preprocess(pixels, pixels.flip(3), torch.bfloat16),
         ]
 
 

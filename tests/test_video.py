@@ -13,11 +13,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from priors import geometry
-from priors.adapt.clips import FARTHEST_M, NEAREST_M, Clip, Source, crops, neighbours, pair_up
-from priors.adapt.depth_hints import STEP, hint
+from priors.adapt.depth_hints import STEP, find_hints
 from priors.adapt.photometric import dissimilarity, look_up, mismatch, photometric
-from priors.adapt.video_supervision import Video
-from priors.adapt.views import SKY, SURFACE, View
+from priors.adapt.posed_views import FARTHEST_M, NEAREST_M, PosedView, SourceView, neighbours, pair_up, posed_batch
+from priors.adapt.video_supervision import VideoSupervision
+from priors.adapt.views import SKY, SURFACE, LabelledView
 from priors.errors import DataError
 from priors.methods.mono import Mono
 from priors.nets import bts, weights
@@ -47,13 +47,13 @@ def picture(T_world_cam: Matrix) -> tuple[np.ndarray, np.ndarray]:
     return np.rint(127 + 55 * np.stack(waves, axis=-1)).astype(np.uint8), depth_m.astype(np.float32)
 
 
-def clip(*sources: Matrix, factor: float = 1.0, sky: np.ndarray | None = None) -> Clip:
+def clip(*sources: Matrix, factor: float = 1.0, sky: np.ndarray | None = None) -> PosedView:
     """The plane seen from the origin, with a depth that is wrong by a factor, and from elsewhere."""
     image, depth_m = picture(np.eye(4))
     labels = np.full(SIZE, SURFACE, np.int8) if sky is None else np.where(sky, SKY, SURFACE).astype(np.int8)
-    view = View(image, CAMERA, depth_m * np.float32(factor), labels, "plane")
-    near = [Source(picture(T)[0], CAMERA, geometry.invert(T)) for T in sources]
-    return Clip(view, np.zeros(SIZE, np.float32), (near[0], near[-1]))
+    view = LabelledView(image, CAMERA, depth_m * np.float32(factor), labels, "plane")
+    near = [SourceView(picture(T)[0], CAMERA, geometry.invert(T)) for T in sources]
+    return PosedView(view, np.zeros(SIZE, np.float32), (near[0], near[-1]))
 
 
 def bilinear(image: np.ndarray, u: float, v: float) -> np.ndarray:
@@ -68,7 +68,7 @@ def test_looking_up_by_hand() -> None:
     T_world_source = pose(0.6, 0.4, 0.05)
     one = clip(T_world_source)
     rng = np.random.default_rng(next(seed for seed in range(20) if not _mirrors(seed)))
-    batch = crops([one], rng, SIZE, (1.0, 1.0), 1)
+    batch = posed_batch([one], rng, SIZE, (1.0, 1.0), 1)
     found, inside = look_up(batch["sources"][:, 0], batch["turn"][:, 0], batch["shift"][:, 0], batch["depth_m"], 1)
     rays, source, checked = geometry.rays(CAMERA), picture(T_world_source)[0] / 255.0, 0
     for row in range(0, SIZE[0], 5):
@@ -89,7 +89,7 @@ def test_looking_up_by_hand() -> None:
 
 def _mirrors(seed: int) -> bool:
     """Tell whether the first window drawn from a seed is mirrored."""
-    batch = crops([clip(pose(0.5))], np.random.default_rng(seed), SIZE, (1.0, 1.0), 1)
+    batch = posed_batch([clip(pose(0.5))], np.random.default_rng(seed), SIZE, (1.0, 1.0), 1)
     return float(batch["K"][0, 0, 2]) != CAMERA.K[0, 2]
 
 
@@ -98,7 +98,7 @@ def _mirrors(seed: int) -> bool:
 def test_true_depth_explains_the_neighbours(seed: int, zoom: float, ahead: float, turned: float) -> None:
     """In any window, mirrored or not, at any scale: true depth explains what is seen, wrong depth does not."""
     one = clip(pose(ahead, 0.5, turned), pose(-ahead, 0.4, -turned))
-    batch = crops([one], np.random.default_rng(seed), (64, 96), (zoom, zoom), 1)
+    batch = posed_batch([one], np.random.default_rng(seed), (64, 96), (zoom, zoom), 1)
     everywhere = torch.ones(1, 64, 96, dtype=torch.bool)
 
     def error(factor: float, stride: int) -> float:
@@ -112,7 +112,7 @@ def test_true_depth_explains_the_neighbours(seed: int, zoom: float, ahead: float
 @pytest.mark.parametrize("factor", [0.75, 1.35])
 def test_the_loss_pulls_depth_to_metres(factor: float) -> None:
     """A depth that is wrong by a factor, free to scale and tilt, becomes the true one: the poses are in metres."""
-    video = Video([clip(pose(0.5, 0.3), pose(-0.5, 0.1), factor=factor)])
+    video = VideoSupervision([clip(pose(0.5, 0.3), pose(-0.5, 0.1), factor=factor)])
     rng = np.random.default_rng(0)
     change = torch.zeros(3, requires_grad=True)
     optimiser = torch.optim.Adam([change], lr=0.03)
@@ -133,9 +133,9 @@ def test_the_loss_pulls_depth_to_metres(factor: float) -> None:
 def test_hints_lead_back_from_afar(factor: float) -> None:
     """Where the error's slope is no guide, the factor that explains the neighbours is found, or nothing is said."""
     one = clip(pose(0.4, 0.5), pose(-0.3, -0.5), factor=factor)
-    batch = crops([one], np.random.default_rng(0), SIZE, (1.0, 1.0), 1)
+    batch = posed_batch([one], np.random.default_rng(0), SIZE, (1.0, 1.0), 1)
     upper = torch.arange(SIZE[0])[None, :, None].expand(1, *SIZE) < 24
-    found = hint(1 / batch["depth_m"], ~upper, batch, 2, 1)
+    found = find_hints(1 / batch["depth_m"], ~upper, batch, 2, 1)
     assert not found.certain[:, :12].any() and found.certain[:, 12:].float().mean() > 0.4
     off = (found.change + np.log(factor))[found.certain].abs()
     assert float((off < STEP).float().mean()) > 0.97
@@ -151,11 +151,13 @@ def out_of(depth_m: torch.Tensor) -> MonoOut:
 
 def test_what_moves_along_and_the_sky_teach_nothing() -> None:
     still = clip(pose(0.5))
-    still = Clip(still.view, still.log_scale, (Source(still.view.image, CAMERA, geometry.invert(pose(0.5))),) * 2)
+    still = PosedView(
+        still.view, still.log_scale, (SourceView(still.view.image, CAMERA, geometry.invert(pose(0.5))),) * 2
+    )
     upper = np.arange(SIZE[0])[:, None].repeat(SIZE[1], 1) < 32
     below = np.arange(SIZE[0])[:, None].repeat(SIZE[1], 1) >= 31  # a window of 3x3 around the first row of surface
     for one, taught in ((still, np.zeros(SIZE, bool)), (clip(pose(0.5, 0.3), factor=1.2, sky=upper), below)):
-        batch = crops([one], np.random.default_rng(0), SIZE, (1.0, 1.0), 1)
+        batch = posed_batch([one], np.random.default_rng(0), SIZE, (1.0, 1.0), 1)
         inverse = (1 / batch["depth_m"]).requires_grad_(True)
         photometric(inverse, batch["sky"] == SURFACE, batch, 1, 1).backward()
         assert inverse.grad is not None

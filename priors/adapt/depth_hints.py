@@ -1,4 +1,4 @@
-"""Where depth that is far off should be: the factor by which it would explain the posed neighbours best.
+"""Depth hints: where depth is far off, the factor by which it would explain the posed neighbours best.
 
 The photometric error's slope leads to the truth from nearby only; from farther away it mostly leads to infinity, where
 nothing moves and little is very wrong. So a few factors are tried, on small pictures, and the best is a hint where no
@@ -12,9 +12,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from priors.adapt.batch import Batch
 from priors.adapt.objective import masked_mean
 from priors.adapt.photometric import explain, shrink
+from priors.adapt.training_step import Batch
 
 FARTHEST, TRIED = 1.2, 21
 """Largest change of log depth that is tried, up and down, and how many changes."""
@@ -26,7 +26,7 @@ CLEAR = 0.7
 
 
 @dataclass(frozen=True)
-class Hint:
+class Hints:
     """What the search found, in cells: (b, h, w) each."""
 
     log_depth: Tensor
@@ -46,7 +46,7 @@ class Hint:
         return masked_mean((self.log_depth - (self.log_depth + self.change).detach()).abs(), self.certain)
 
 
-def hint(inverse: Tensor, counts: Tensor, batch: Batch, stride: int, finest: int) -> Hint:
+def find_hints(inverse: Tensor, counts: Tensor, batch: Batch, stride: int, finest: int) -> Hints:
     """Search; arguments as of photometric.photometric."""
     log_depth = -shrink(inverse[:, None], stride)[:, 0].log()
     with torch.no_grad():
@@ -58,7 +58,7 @@ def hint(inverse: Tensor, counts: Tensor, batch: Batch, stride: int, finest: int
         other = torch.where(away, errors, math.inf).amin(dim=0)
         certain = (least < CLEAR * other) & (least < unmoved) & (best > 0) & (best < TRIED - 1)
         certain &= shrink(counts[:, None].float(), stride)[:, 0] > 0.999
-    return Hint(log_depth, tried[best], certain)
+    return Hints(log_depth, tried[best], certain)
 
 
 def blur(errors: Tensor) -> Tensor:

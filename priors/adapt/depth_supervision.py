@@ -1,4 +1,4 @@
-"""What a scene teaches by depth that its views know: a LiDAR's, or stereo's where it is sure."""
+"""Depth supervision of a scene: its views know depth, a LiDAR's, or stereo's where it is sure."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,17 +6,18 @@ from dataclasses import dataclass
 import numpy as np
 from torch import Tensor
 
-from priors.adapt.batch import Batch
 from priors.adapt.objective import loss
-from priors.adapt.views import ZOOM, View, collate, crop_size, cut, repaint
+from priors.adapt.training_step import Batch
+from priors.adapt.views import LabelledView, augment_view, collate
+from priors.adapt.windows import ZOOM, crop_size, random_crop
 from priors.nets.bts import MonoOut
 
 
 @dataclass(frozen=True)
-class Measured:
-    """Supervises by views with depth; see adapt.Supervision."""
+class DepthSupervision:
+    """Supervises by views with depth; see finetune.Supervision."""
 
-    views: Sequence[View]
+    views: Sequence[LabelledView]
     """Images of one camera with the depth that is known."""
     measures: str = "mean log error"
 
@@ -24,7 +25,7 @@ class Measured:
         """Make a batch of crops."""
         size = crop_size(self.views)
         picked = (self.views[int(rng.integers(len(self.views)))] for _ in range(count))
-        return collate([repaint(cut(view, rng, size, ZOOM), rng) for view in picked])
+        return collate([augment_view(random_crop(view, rng, size, ZOOM), rng) for view in picked])
 
     def loss(self, out: MonoOut, batch: Batch) -> tuple[Tensor, Tensor]:
         """Return the training's loss, and the mean log error."""

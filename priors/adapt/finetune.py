@@ -1,38 +1,39 @@
-"""Fine-tune the single-image network on the scene that it is asked about, for a bounded time.
+"""Fine-tuning of the single-image network on the scene that it is asked about, for a bounded time.
 
-Supervised by what the scene's own training views have: depth that they know (measured.py), or that they show the same
-scene from posed places (video.py). Batch normalisation keeps the statistics it was trained with; the result is the
-running average of the weights.
+The scene's own training views supervise it: by depth that they know (depth_supervision.py), or because they show the
+same scene from posed places (video_supervision.py). Batch normalisation keeps the statistics that it was trained with.
+The result is the running average of the weights.
 """
 
 import copy
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from priors.adapt.batch import Batch
+from priors.adapt.training_step import Batch, WeightAverage, descend, to_device
 from priors.errors import DataError
 from priors.nets.bts import MonoOut
-from priors.types import Drive
 
-Read = TypeVar("Read")
 RISE = 10
 """Fewest steps to the largest learning rate: AdamW's first ones are long, and a slow machine makes few."""
-MOST_VIEWS = 40
-"""Frames that take part at most, spread evenly."""
+LARGEST_NORM = 1.0
+"""Of the gradient; larger ones are scaled down."""
+AVERAGE_DELAY = 10
+"""Of the running average: see training_step.WeightAverage."""
 
 
 @dataclass(frozen=True)
 class AdaptConfig:
-    """How long and how fast to adapt."""
+    """How long and how fast to fine-tune."""
 
     seconds: float = 75.0
-    """Time to adapt for, reading the views not included."""
+    """Time to fine-tune for, reading the views not included."""
     steps: int | None = None
     """Steps instead of seconds."""
     lr: float = 3e-4
@@ -43,6 +44,13 @@ class AdaptConfig:
     """Share of the running average that a step keeps."""
     seed: int = 0
     """Decides the crops."""
+
+    def __post_init__(self) -> None:
+        if not 0 < self.seconds < math.inf or (self.steps is not None and self.steps < 1):
+            raise DataError(f"fine-tuning: expected seconds > 0 and steps >= 1, found {self.seconds} and {self.steps}")
+        if not (0 < self.lr < math.inf and self.batch >= 1 and 0 <= self.ema < 1):
+            given = f"{self.lr}, {self.batch} and {self.ema}"
+            raise DataError(f"fine-tuning: expected lr > 0, batch >= 1 and ema in [0, 1), found {given}")
 
 
 class Supervision(Protocol):
@@ -62,54 +70,14 @@ class Supervision(Protocol):
         ...
 
 
-def training_views(count: int, chosen: Sequence[int], hold_out: str, most: int | None = None) -> list[int]:
-    """Return which of the chosen frames may take part: those not held out, thinned evenly to `most`.
-
-    Args:
-        count: frames of the drive, for the message.
-        chosen: positions in the drive, in order.
-        hold_out: start:stop:step as Python counts, over `chosen` (9::10: every 10th from the 10th on, as `nerf fit`
-            holds out), or none.
-        most: how many to return at most; None: all.
-    """
-    try:
-        parts = [int(part) if part else None for part in hold_out.split(":")] if hold_out != "none" else [0, 0]
-        out = set(chosen[slice(*parts)] if len(parts) > 1 else [chosen[parts[0] or 0]])
-    except (ValueError, TypeError, IndexError) as error:
-        raise DataError(f"--mono.hold-out {hold_out}: expected start:stop:step, for example 9::10, or none") from error
-    kept = [index for index in chosen if index not in out]
-    if not kept:
-        raise DataError(f"--mono.hold-out {hold_out} leaves no frame of {count} to adapt on: hold out fewer")
-    return kept if most is None else thin(kept, most)
-
-
-def thin(indices: Sequence[int], most: int) -> list[int]:
-    """Pick at most `most` of them, evenly."""
-    picked = np.unique(np.linspace(0, len(indices) - 1, min(most, len(indices))).round().astype(int))
-    return [indices[index] for index in picked]
-
-
-def gather(drive: Drive, indices: Sequence[int], read: Callable[[int], Read], what: str) -> list[Read]:
-    """Read what frames teach; those for which that is a DataError are left out, DataError where none is left."""
-    found, reason = [], ""
-    for index in indices:
-        try:
-            found.append(read(index))
-        except DataError as error:
-            reason = reason or str(error)
-    if not found:
-        raise DataError(f"{drive.name}: no {what} to adapt to in any training frame{': ' if reason else ''}{reason}")
-    return found
-
-
-def adapt(
+def fine_tune(
     net: nn.Module,
     supervision: Supervision,
     config: AdaptConfig,
     on_progress: Callable[[float, float], None] = lambda done, error: None,
     bf16: bool = True,
 ) -> nn.Module:
-    """Fine-tune a network; returns the adapted one in eval mode, the given one is not touched.
+    """Fine-tune a network; returns the new one in eval mode, the given one is not touched.
 
     Args:
         net: a Bts in float32.
@@ -119,7 +87,7 @@ def adapt(
         bf16: whether to compute in bf16.
     """
     trained = copy.deepcopy(net).eval().requires_grad_(True)  # eval: batch normalisation keeps its statistics
-    average = copy.deepcopy(net).eval().requires_grad_(False)
+    average = WeightAverage(net, config.ema, AVERAGE_DELAY)
     optimiser = torch.optim.AdamW(trained.parameters(), lr=config.lr, weight_decay=0.0)
     device = next(trained.parameters()).device
     rng = np.random.default_rng(config.seed)
@@ -127,29 +95,23 @@ def adapt(
     while (done := _progress(config, step, started)) < 1:
         for group in optimiser.param_groups:
             group["lr"] = config.lr * min(1.0, 10 * done + 0.05, (step + 1) / RISE) * (1 - 0.95 * done)
-        batch = {name: value.to(device) for name, value in supervision.batch(rng, config.batch).items()}
+        batch = to_device(supervision.batch(rng, config.batch), device)
         with torch.autocast(device.type, torch.bfloat16, enabled=bf16):
             out = trained(batch["image"], batch["K"])
         total, wrong = supervision.loss(out, batch)
-        optimiser.zero_grad(set_to_none=True)
-        total.backward()
-        if torch.isfinite(torch.nn.utils.clip_grad_norm_(trained.parameters(), 1.0)):
-            optimiser.step()
+        descend(total, optimiser, trained.parameters(), LARGEST_NORM)
         step += 1
-        keep = min(config.ema, step / (step + 10))
-        with torch.no_grad():
-            for ours, theirs in zip(average.parameters(), trained.parameters(), strict=True):
-                ours.lerp_(theirs, 1 - keep)
+        average.update(trained, step)
         now = float(wrong)
         error = now if np.isnan(error) else 0.9 * error + 0.1 * now
         if done - told >= 0.1:
             told = done
             on_progress(done, error)
     on_progress(1.0, error)
-    return average
+    return average.net
 
 
 def _progress(config: AdaptConfig, step: int, started: float) -> float:
     if config.steps is not None:
-        return step / max(1, config.steps)
-    return (time.monotonic() - started) / max(config.seconds, 1e-6)
+        return step / config.steps
+    return (time.monotonic() - started) / config.seconds

@@ -1,20 +1,21 @@
-"""The objective of single-image depth: BTS's scale-invariant loss, and a network's prediction of a view."""
+"""Objective of single-image depth: BTS's scale-invariant loss, and a network's prediction of an image."""
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.adapt.batch import Batch
-from priors.adapt.views import LARGEST_M, View, collate
+from priors.adapt.training_step import Batch
+from priors.adapt.views import LARGEST_M, to_tensor
 from priors.nets import bts
+from priors.types import Camera, Image
 
 
-def predict(net: nn.Module, view: View, bf16: bool = True) -> bts.MonoOut:
-    """Run a network on a whole view; the maps are (1, h, w) on the CPU."""
-    batch = collate([view])
+def predict(net: nn.Module, image: Image, camera: Camera, bf16: bool = True) -> bts.MonoOut:
+    """Run a network on a whole image; the maps are (1, h, w) on the CPU."""
     device = next(net.parameters()).device
+    K = torch.from_numpy(camera.K)[None].float()
     with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16, enabled=bf16):
-        out: bts.MonoOut = net(batch["image"].to(device), batch["K"].to(device))
+        out: bts.MonoOut = net(to_tensor([image]).to(device), K.to(device))
     return bts.MonoOut(*(map_.float().cpu() for map_ in (out.depth_m, out.sky_logit, out.log_scale, out.coarse_m)))
 
 

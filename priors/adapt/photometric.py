@@ -1,8 +1,8 @@
-"""How well a depth map explains a view by its posed neighbours (Godard et al., Monodepth2, ICCV 2019).
+"""Photometric error: how badly a depth map explains a view by its posed neighbours (Monodepth2, ICCV 2019).
 
 A neighbour, looked up where the depth says that a pixel lies in it, should look as the pixel does. Of several the best
-one counts, as others may be hidden; and a pixel that looks more like the neighbour's same pixel moves with the camera,
-or shows nothing: it teaches nothing.
+one counts, as others may be hidden. A pixel that looks more like the neighbour's same pixel moves with the camera, or
+shows nothing: it teaches nothing (Godard et al.'s auto-masking).
 """
 
 from collections.abc import Sequence
@@ -11,8 +11,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from priors.adapt.batch import Batch
 from priors.adapt.objective import masked_mean
+from priors.adapt.training_step import Batch
 
 NEAREST_M = 0.1
 STRUCTURE = 0.85
@@ -27,7 +27,7 @@ def photometric(inverse: Tensor, counts: Tensor, batch: Batch, stride: int, fine
     Args:
         inverse: (b, h, w) inverse depth, 1/m, > 0.
         counts: (b, h, w) which pixels may take part.
-        batch: from clips.crops.
+        batch: from posed_views.posed_batch.
         stride: side of the cells, in the crops' pixels, that are compared: a multiple of `finest`.
         finest: how many times smaller the batch's sources are than the crops' content.
     """
@@ -42,7 +42,7 @@ def explain(depths_m: Sequence[Tensor], batch: Batch, stride: int, finest: int) 
 
     Args:
         depths_m: of cells of `stride` pixels, (b, h, w) each.
-        batch: from clips.crops.
+        batch: from posed_views.posed_batch.
         stride: side of the cells.
         finest: see photometric.
 
@@ -66,7 +66,7 @@ def look_up(source: Tensor, turn: Tensor, shift: Tensor, depth_m: Tensor, stride
 
     Args:
         source: (b, 3, height, width).
-        turn: (b, 3, 3), see clips.crops.
+        turn: (b, 3, 3), see posed_views.posed_batch.
         shift: (b, 3).
         depth_m: (b, h, w), of cells of `stride` pixels.
         stride: their side.
@@ -90,7 +90,10 @@ def mismatch(image: Tensor, seen: Tensor, inside: Tensor) -> Tensor:
 
 
 def dissimilarity(a: Tensor, b: Tensor) -> Tensor:
-    """Return (1 - SSIM) / 2 (Wang et al., 2004) of images (b, c, h, w) in [0, 1] over windows of 3x3 pixels."""
+    """Return (1 - SSIM) / 2 (Wang et al., 2004) of images (b, c, h, w) in [0, 1] over windows of 3x3 pixels.
+
+    A loss: scikit-image's SSIM, which scores pictures, has no gradient.
+    """
     a, b = F.pad(a, (1, 1, 1, 1), mode="replicate"), F.pad(b, (1, 1, 1, 1), mode="replicate")
     mean_a, mean_b = average(a), average(b)
     variance_a, variance_b = average(a * a) - mean_a**2, average(b * b) - mean_b**2

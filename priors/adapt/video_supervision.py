@@ -1,4 +1,4 @@
-"""What a scene teaches by being seen from posed places: photometric supervision of metric depth.
+"""Photometric supervision of metric depth: a scene is seen from posed places.
 
 The poses are in metres, so the depth becomes metric. Where nothing tells depth (bare road, glare), the relief stays
 what the starting network makes of it; so do its sky and its expected error, of which a video says nothing.
@@ -13,15 +13,16 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors import geometry
-from priors.adapt.batch import Batch
-from priors.adapt.clips import Clip, Source, crops
-from priors.adapt.depth_hints import hint
+from priors.adapt.depth_hints import find_hints
 from priors.adapt.objective import edge_loss, masked_mean, predict
 from priors.adapt.photometric import photometric, roughness
-from priors.adapt.views import SKY, SURFACE, UNKNOWN, ZOOM, View, crop_size
+from priors.adapt.posed_views import PosedView, SourceView, posed_batch
+from priors.adapt.training_step import Batch
+from priors.adapt.views import SKY, SURFACE, UNKNOWN, LabelledView
+from priors.adapt.windows import ZOOM, crop_size
 from priors.errors import DataError
 from priors.nets.bts import MonoOut
-from priors.types import Drive, Frame
+from priors.types import Drive, Frame, Matrix
 
 SMALL = 192
 """Crops less high than this are compared at full size, others at half, which is as good and four times as fast."""
@@ -34,34 +35,34 @@ ERROR, HINT, RELIEF, ROUGH = 10.0, 4.0, 0.1, 0.02
 
 
 @dataclass(frozen=True)
-class Video:
-    """Supervises by views and their posed neighbours; see adapt.Supervision."""
+class VideoSupervision:
+    """Supervises by views and their posed neighbours; see finetune.Supervision."""
 
-    clips: Sequence[Clip]
+    views: Sequence[PosedView]
     measures: str = "photometric error"
 
     def batch(self, rng: np.random.Generator, count: int) -> Batch:
         """Make a batch of crops."""
-        size = crop_size([clip.view for clip in self.clips])
+        size = crop_size([posed.view for posed in self.views])
         zoom = float(np.exp(rng.uniform(*np.log(ZOOM))))  # one for all, so that the neighbours are of one size
-        picked = [self.clips[int(rng.integers(len(self.clips)))] for _ in range(count)]
-        return crops(picked, rng, size, (zoom, zoom), finest(size[0]))
+        picked = [self.views[int(rng.integers(len(self.views)))] for _ in range(count)]
+        return posed_batch(picked, rng, size, (zoom, zoom), finest(size[0]))
 
     def loss(self, out: MonoOut, batch: Batch) -> tuple[Tensor, Tensor]:
         """Return photometric error, smoothness, and what keeps the rest as the starting network has it."""
-        surface, known = batch["sky"] == SURFACE, batch["sky"] != UNKNOWN
+        surface, labelled = batch["sky"] == SURFACE, batch["sky"] != UNKNOWN
         inverse, first = 1 / out.depth_m, finest(out.depth_m.shape[1])
         strides = [first * 2**level for level in range(LEVELS)]
-        found = hint(inverse, surface, batch, strides[-1], first)
-        near = surface & ~F.interpolate(found.elsewhere[:, None].float(), surface.shape[1:])[:, 0].bool()
+        hints = find_hints(inverse, surface, batch, strides[-1], first)
+        near = surface & ~F.interpolate(hints.elsewhere[:, None].float(), surface.shape[1:])[:, 0].bool()
         wrong = torch.stack([photometric(inverse, near, batch, stride, first) for stride in strides]).mean()
         change = out.depth_m.log() - batch["depth_m"].log()
         relief = sum((edge_loss(change, surface, stride) for stride in (1, 2, 4, 8)), change.new_zeros(()))
         rough = roughness(inverse, batch["target"], surface)
         is_sky = (batch["sky"] == SKY).float()
-        sky = masked_mean(F.binary_cross_entropy_with_logits(out.sky_logit, is_sky, reduction="none"), known)
+        sky = masked_mean(F.binary_cross_entropy_with_logits(out.sky_logit, is_sky, reduction="none"), labelled)
         scale = masked_mean((out.log_scale - batch["log_scale"]).abs(), surface)
-        scene = ERROR * wrong + HINT * found.error() + RELIEF * relief + ROUGH * rough
+        scene = ERROR * wrong + HINT * hints.error() + RELIEF * relief + ROUGH * rough
         return scene + 0.5 * sky + 0.1 * scale, wrong.detach()
 
 
@@ -70,7 +71,7 @@ def finest(height: int) -> int:
     return 1 if height < SMALL else 2
 
 
-def read_clip(drive: Drive, index: int, near: tuple[int, int], start: nn.Module, bf16: bool) -> Clip:
+def read_posed_view(drive: Drive, index: int, near: tuple[int, int], start: nn.Module, bf16: bool) -> PosedView:
     """Read a frame, its neighbours and what the starting network says about it.
 
     Args:
@@ -84,17 +85,21 @@ def read_clip(drive: Drive, index: int, near: tuple[int, int], start: nn.Module,
 
     frame = drive[index]
     image = frame.image()
-    blank = View(image, frame.camera, np.ones(image.shape[:2], np.float32), np.zeros(image.shape[:2], np.int8), "video")
-    out = predict(start, blank, bf16)
+    out = predict(start, image, frame.camera, bf16)
     ours, theirs = out.sky_logit[0].numpy() > 0, sky_mask(image)
     sky = np.where(ours == theirs, np.where(ours, SKY, SURFACE), UNKNOWN).astype(np.int8)
-    view = View(image, frame.camera, out.depth_m[0].numpy(), sky, "video")
+    view = LabelledView(image, frame.camera, out.depth_m[0].numpy(), sky, "video")
     if not np.any(sky == SURFACE):
         raise DataError(f"frame {frame.id}: nothing but sky")
     before, after = (_source(frame, drive[other]) for other in near)
-    return Clip(view, out.log_scale[0].numpy(), (before, after))
+    return PosedView(view, out.log_scale[0].numpy(), (before, after))
 
 
-def _source(frame: Frame, other: Frame) -> Source:
-    assert frame.T_world_cam is not None and other.T_world_cam is not None
-    return Source(other.image(), other.camera, geometry.invert(other.T_world_cam) @ frame.T_world_cam)
+def _source(frame: Frame, other: Frame) -> SourceView:
+    return SourceView(other.image(), other.camera, geometry.invert(_pose(other)) @ _pose(frame))
+
+
+def _pose(frame: Frame) -> Matrix:
+    if frame.T_world_cam is None:
+        raise DataError(f"frame {frame.id}: no pose, which photometric supervision needs")
+    return frame.T_world_cam

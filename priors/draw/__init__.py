@@ -1,1 +1,1 @@
-"""Pictures: colours of depth, error and confidence, panels of maps, plots."""
+"""Pictures for people: colours, panels of maps, plots, videos."""

@@ -13,22 +13,22 @@ import numpy.typing as npt
 from priors.types import FloatMap, Image, Mask
 
 Colour: TypeAlias = tuple[int, int, int]
-Table: TypeAlias = npt.NDArray[np.uint8]
+ColourTable: TypeAlias = npt.NDArray[np.uint8]
 
-NEAREST_M, FARTHEST_M = 3.0, 80.0
+SCALE_NEAREST_M, SCALE_FARTHEST_M = 3.0, 80.0
 ERROR_STEPS = (0.005, 0.01, 0.02, 0.04, 0.08, 0.16, 0.32)
 """Edges of the error map's colours, |p - t| / t: each step doubles the error."""
 MISSING: Colour = (74, 72, 76)
 """Error map: there is a truth, but the method has no value."""
 
 
-def _table(code: int, first: int = 0, last: int = 255) -> Table:
+def _table(code: int, first: int = 0, last: int = 255) -> ColourTable:
     """Return one of OpenCV's colour maps, its part first..last, as (256, 3) RGB."""
     ramp = np.rint(np.linspace(first, last, 256)).astype(np.uint8)
     return np.asarray(cv2.applyColorMap(ramp[:, None], code)[:, 0, ::-1], dtype=np.uint8)
 
 
-def _blend(colours: Sequence[Colour], steps: int) -> Table:
+def _blend(colours: Sequence[Colour], steps: int) -> ColourTable:
     """Interpolate between colours: (steps, 3) RGB."""
     at = np.linspace(0, len(colours) - 1, steps)
     anchors = np.array(colours, dtype=np.float64)
@@ -40,10 +40,9 @@ def _blend(colours: Sequence[Colour], steps: int) -> Table:
 DEPTH_COLOURS = _table(cv2.COLORMAP_TURBO, 18, 245)
 CONFIDENCE_COLOURS = _table(cv2.COLORMAP_VIRIDIS, 10, 255)
 GOOD_TO_BAD = _blend([(24, 60, 150), (70, 150, 215), (240, 240, 225), (240, 130, 60), (165, 10, 40)], 8)
-NEAR_TO_FAR = _blend([(24, 60, 170), (90, 160, 225), (242, 242, 238), (240, 140, 80), (170, 15, 40)], 255)
 
 
-def colour_depth(depth_m: FloatMap, nearest_m: float = NEAREST_M, farthest_m: float = FARTHEST_M) -> Image:
+def colour_depth(depth_m: FloatMap, nearest_m: float = SCALE_NEAREST_M, farthest_m: float = SCALE_FARTHEST_M) -> Image:
     """Colour a depth map (height, width) on a logarithmic scale; what lies outside takes the end's colour."""
     valid = depth_m > 0
     shown_m = np.clip(np.where(valid, depth_m, nearest_m), nearest_m, farthest_m)
@@ -58,33 +57,16 @@ def colour_confidence(confidence: FloatMap, valid: Mask) -> Image:
 
 def colour_error(prediction_m: FloatMap, truth_m: FloatMap) -> Image:
     """Colour |p - t| / t in steps that double: blue is good, red is bad, grey has a truth but no prediction."""
-    both, ratio = _relative_error(prediction_m, truth_m)
-    picture = GOOD_TO_BAD[np.digitize(np.abs(ratio), ERROR_STEPS)]
-    return np.where(both[..., None], picture, _missing(prediction_m, truth_m)).astype(np.uint8)
-
-
-def colour_signed_error(prediction_m: FloatMap, truth_m: FloatMap) -> Image:
-    """Colour (p - t) / t: blue is too near, red too far, white right; the scale is logarithmic beyond 0.5 %."""
-    both, ratio = _relative_error(prediction_m, truth_m)
-    size = np.log1p(np.abs(ratio) / ERROR_STEPS[0]) / np.log1p(ERROR_STEPS[-1] / ERROR_STEPS[0])
-    picture = _paint(NEAR_TO_FAR, 0.5 + 0.5 * np.sign(ratio) * size, both)
-    return np.where(both[..., None], picture, _missing(prediction_m, truth_m)).astype(np.uint8)
-
-
-def _relative_error(prediction_m: FloatMap, truth_m: FloatMap) -> tuple[Mask, npt.NDArray[np.float64]]:
-    both = (prediction_m > 0) & (truth_m > 0) & np.isfinite(truth_m)
+    true = truth_m > 0
+    both = true & (prediction_m > 0) & np.isfinite(truth_m)
     truth = np.where(both, truth_m, 1).astype(np.float64)
-    return both, np.where(both, prediction_m, 1) / truth - 1
-
-
-def _missing(prediction_m: FloatMap, truth_m: FloatMap) -> Image:
-    """Paint where there is a truth but no prediction."""
-    picture = np.zeros((*truth_m.shape, 3), np.uint8)
-    picture[(truth_m > 0) & ~(prediction_m > 0)] = MISSING
+    error = np.abs(np.where(both, prediction_m, 1) / truth - 1)
+    picture = np.where(both[..., None], GOOD_TO_BAD[np.digitize(error, ERROR_STEPS)], np.uint8(0))
+    picture[true & ~(prediction_m > 0)] = MISSING
     return picture
 
 
-def _paint(table: Table, shares: npt.NDArray[np.floating], valid: Mask) -> Image:
+def _paint(table: ColourTable, shares: npt.NDArray[np.floating], valid: Mask) -> Image:
     """Look shares of [0, 1] up in a table of colours."""
     last = len(table) - 1
     picture = table[np.rint(np.clip(shares, 0, 1) * last).astype(np.intp)]

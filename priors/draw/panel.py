@@ -9,22 +9,21 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from priors.codecs import as_rgb
 from priors.draw.colours import (
     CONFIDENCE_COLOURS,
     DEPTH_COLOURS,
     ERROR_STEPS,
-    FARTHEST_M,
     GOOD_TO_BAD,
-    NEAREST_M,
+    SCALE_FARTHEST_M,
+    SCALE_NEAREST_M,
     Colour,
-    Table,
+    ColourTable,
     colour_confidence,
     colour_depth,
     colour_error,
     thicken,
 )
-from priors.types import Depth, Image, Mask
+from priors.types import Depth, Image
 
 INK: Colour = (236, 238, 242)
 FAINT: Colour = (150, 156, 166)
@@ -39,7 +38,7 @@ SPARSE = 0.5
 class Bar:
     """A colour bar: what the colours of a tile mean."""
 
-    colours: Table
+    colours: ColourTable
     """(n, 3) RGB from left to right."""
     ticks: Sequence[tuple[float, str]]
     """Where along the bar, in [0, 1], and what is written there."""
@@ -54,21 +53,19 @@ class Tile:
     bar: Bar | None = None
 
 
-def depth_bar(nearest_m: float = NEAREST_M, farthest_m: float = FARTHEST_M) -> Bar:
+def depth_bar(nearest_m: float = SCALE_NEAREST_M, farthest_m: float = SCALE_FARTHEST_M) -> Bar:
     """Make the bar of `colour_depth`."""
     marks = [m for m in (3, 5, 10, 20, 40, 80, 160) if nearest_m <= m <= farthest_m]
-    scale = np.log(farthest_m / nearest_m)
-    return Bar(
-        DEPTH_COLOURS[::-1], [(float(np.log(m / nearest_m) / scale), f"{m}{' m' * (m == marks[-1])}") for m in marks]
-    )
+    shares = [float(np.log(m / nearest_m) / np.log(farthest_m / nearest_m)) for m in marks]
+    labels = [f"{m} m" if m == marks[-1] else str(m) for m in marks]
+    return Bar(DEPTH_COLOURS[::-1], list(zip(shares, labels, strict=True)))
 
 
 def error_bar() -> Bar:
     """Make the bar of `colour_error`."""
     steps = len(ERROR_STEPS) + 1
-    return Bar(
-        GOOD_TO_BAD, [((i + 1) / steps, f"{100 * step:g}{'%' * (i == 6)}") for i, step in enumerate(ERROR_STEPS)]
-    )
+    labels = [*(f"{100 * step:g}" for step in ERROR_STEPS[:-1]), f"{100 * ERROR_STEPS[-1]:g}%"]
+    return Bar(GOOD_TO_BAD, [((i + 1) / steps, label) for i, label in enumerate(labels)])
 
 
 CONFIDENCE_BAR = Bar(CONFIDENCE_COLOURS, [(0.0, "0"), (0.5, "0.5"), (1.0, "1")])
@@ -85,7 +82,7 @@ def error_tile(depth: Depth, truth: Depth) -> Tile:
     """Make the tile of a depth map's error where there is a truth; thickened, since a truth is sparse."""
     picture = colour_error(depth.depth_m, truth.depth_m)
     missing = truth.valid & ~depth.valid
-    caption = f"error, share of the truth{' (grey: no value)' * bool(missing.any())}"
+    caption = "error, share of the truth" + (" (grey: no value)" if missing.any() else "")
     if np.count_nonzero(missing) > (1 - SPARSE) * np.count_nonzero(truth.valid):
         # Few of the truth's pixels have a value: these must be seen, so they grow over the missing ones.
         errors = thicken(np.where(missing[..., None], np.uint8(0), picture))
@@ -159,12 +156,3 @@ def write(
 def text_width(text: str, scale: float = TEXT_SCALE) -> int:
     """Return how wide a text is drawn, px."""
     return int(cv2.getTextSize(text, FONT, scale, 1)[0][0])
-
-
-def overlay(image: Image, mask: Mask, colour: Colour = (64, 170, 255), strength: float = 0.45) -> Image:
-    """Tint the image where mask (height, width) is True and outline it: sky, valid pixels, what a filter dropped."""
-    rgb = as_rgb(image)
-    tinted = np.where(mask[..., None], rgb * (1 - strength) + np.array(colour) * strength, rgb).astype(np.uint8)
-    edge = mask & ~cv2.erode(mask.astype(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
-    tinted[edge] = colour
-    return tinted

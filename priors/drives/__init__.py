@@ -1,11 +1,10 @@
 """Drives: one file per data set, and the folder is the registry.
 
 A data set's file has two functions: `recognises(path)` and `open_drive(path, options)`. Adding the file adds the
-`--dataset` choice; listing the choices imports none of them.
+`--dataset` choice; listing the choices imports none of them. Your own files: priors/extensions.py.
 """
 
 import os
-import pkgutil
 from collections import Counter
 from dataclasses import dataclass
 from importlib import import_module
@@ -14,9 +13,14 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from priors.errors import DataError
+from priors import extensions
+from priors.drives._camera_drive import CameraDrive as CameraDrive
+from priors.drives._files import first_size as first_size
+from priors.drives._files import stems as stems
+from priors.errors import DataError, expect
 from priors.types import Drive
 
+__path__.extend(extensions.folders("drives"))
 LISTED = 1000  # entries of an unknown folder that its error message looks at
 
 
@@ -33,10 +37,14 @@ class DriveOptions:
     """Folder with KITTI depth maps: holds train/<drive>/proj_depth or <drive>/proj_depth. For Argoverse 1: the folder
     that holds disparity_maps_v1.1."""
 
+    def __post_init__(self) -> None:
+        expect(self.drive != "", "--drive", "''", "a name, or leave it out")
+        expect(self.camera != "", "--camera", "''", "a name, or leave it out")
+
 
 def names() -> list[str]:
     """List the data sets, without importing their readers."""
-    return sorted(module.name for module in pkgutil.iter_modules(__path__) if not module.name.startswith("_"))
+    return extensions.names(__path__)
 
 
 def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None = None) -> Drive:
@@ -66,8 +74,15 @@ def reopen(description: dict[str, Any]) -> Drive:
 
 def _reader(name: str) -> ModuleType:
     if name not in names():
-        raise DataError(f"unknown data set {name!r}: choose one of auto, {', '.join(names())}")
-    return import_module(f"{__name__}.{name}")
+        yours = f"or name the folder of your own by {extensions.VARIABLE}"
+        raise DataError(f"unknown data set {name!r}: choose one of auto, {', '.join(names())}, {yours}")
+    reader = import_module(f"{__name__}.{name}")
+    for function in ("recognises", "open_drive"):
+        if not hasattr(reader, function):
+            raise DataError(
+                f"{reader.__file__}: a data set's file needs a function {function}: see docs/architecture.md"
+            )
+    return reader
 
 
 def _recognise(path: Path) -> str:

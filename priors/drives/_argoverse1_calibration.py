@@ -3,8 +3,8 @@
 Facts (argoverse-api: README, utils/calibration.py, issues 37, 50, 81):
 - The images are undistorted already: `distortion_coefficients_` describe the lens as it was. Applying them is wrong.
 - The stereo pair of the tracking logs is not rectified: its cameras are turned by about 1 degree (60 px) against each
-  other. `rectify` turns them as the stereo release does: OpenCV's stereoRectify with alpha 0 gives the release's focal
-  length, centre and Txf_ to 3e-6 px (tests/test_drives_argoverse1.py).
+  other. `rectify_pair` turns them as the stereo release does: OpenCV's stereoRectify with alpha 0 gives the release's
+  focal length, centre and Txf_ to 3e-6 px (tests/test_drives_argoverse1.py).
 - In the stereo release `Txf_` is -focal x baseline, the `_rect` cameras' rotation maps from the rectified camera to
   the raw one, and `stereo_front_left_rect_refined` is the rectified left camera on the vehicle.
 - Quaternions are (w, x, y, z). The vehicle's frame is x forward, y left, z up, at the rear axle.
@@ -28,8 +28,8 @@ STEREO_SIZE = (2056, 2464)
 
 
 @dataclass(frozen=True)
-class View:
-    """One camera as the frames see it: rectified, and how its stored images get there."""
+class RectifiedCamera:
+    """One camera as the frames show it, and how its stored images get there."""
 
     camera: Camera
     T_ego_cam: Matrix | None
@@ -37,15 +37,15 @@ class View:
     warp: Matrix | None = None
     """(3, 3) homography from stored to rectified pixels; None: the images are stored as the camera sees."""
 
-    def view(self, image: Image) -> Image:
-        """Turn a stored image into the camera's."""
+    def rectify(self, image: Image) -> Image:
+        """Turn a stored image into the camera's; its size stays."""
         if self.warp is None:
             return image
         height, width = self.camera.size
         return np.asarray(cv2.warpPerspective(image, self.warp, (width, height), flags=cv2.INTER_LINEAR), np.uint8)
 
 
-class Calibration:
+class LogCalibration:
     """A log's calibration file."""
 
     def __init__(self, path: Path) -> None:
@@ -55,12 +55,12 @@ class Calibration:
             raise DataError(f"{path}: calibration key camera_data_ is missing: download the log again")
         self._values = {e.get("key"): e.get("value") for e in entries if isinstance(e, dict)}
 
-    def view(self, name: str) -> View:
-        """Return a ring camera: its images are stored as it sees."""
-        return View(Camera(self._K(name), RING_SIZE), self._T_ego_cam(name))
+    def ring_camera(self, name: str) -> RectifiedCamera:
+        """Return a camera of the ring: its images are stored as the frames show them."""
+        return RectifiedCamera(Camera(self._K(name), RING_SIZE), self._T_ego_cam(name))
 
-    def rectify(self, left: str, right: str) -> tuple[View, View, float]:
-        """Return the rectified pair of a tracking log and its baseline in metres."""
+    def rectify_pair(self, left: str, right: str) -> tuple[RectifiedCamera, RectifiedCamera, float]:
+        """Rectify the pair of a tracking log: its cameras and their baseline in metres."""
         K = [self._K(name) for name in (left, right)]
         T_ego = [self._T_ego_cam(name) for name in (left, right)]
         T_right_left = invert(T_ego[1]) @ T_ego[0]
@@ -72,16 +72,17 @@ class Calibration:
         )  # fmt: skip
         turns, P_right = turns_projections[:2], turns_projections[3]
         camera = Camera(np.asarray(P_right[:, :3], np.float64), STEREO_SIZE)
-        views = []
+        cameras = []
         for K_raw, T_ego_raw, R_rect_raw in zip(K, T_ego, turns, strict=True):
             T_raw_rect = np.eye(4)
             T_raw_rect[:3, :3] = R_rect_raw.T
-            views.append(View(camera, T_ego_raw @ T_raw_rect, camera.K @ R_rect_raw @ np.linalg.inv(K_raw)))
+            warp = camera.K @ R_rect_raw @ np.linalg.inv(K_raw)
+            cameras.append(RectifiedCamera(camera, T_ego_raw @ T_raw_rect, warp))
         baseline_m = check_baseline(float(-P_right[0, 3] / P_right[0, 0]), f"from {left} to {right}", self.path)
-        return views[0], views[1], baseline_m
+        return cameras[0], cameras[1], baseline_m
 
-    def rectified(self, left: str, right: str) -> tuple[View, View, float]:
-        """Return the stereo release's pair and its baseline in metres, -Txf_ / focal length of the right camera."""
+    def rectified_pair(self, left: str, right: str) -> tuple[RectifiedCamera, RectifiedCamera, float]:
+        """Return the stereo release's pair and its baseline in metres: -Txf_ / focal length of the right camera."""
         K, K_right = self._K(left), self._K(right)
         if not np.allclose(K, K_right, atol=1e-3):
             raise DataError(f"{self.path}: {left} and {right} differ in focal length or centre: download the log again")
@@ -93,7 +94,7 @@ class Calibration:
         T_ego_left = self._T_ego_cam(placed) if f"image_raw_{placed}" in self._values else None
         T_ego_right = None if T_ego_left is None else T_ego_left @ T_left_right
         camera = Camera(K, STEREO_SIZE)
-        return View(camera, T_ego_left), View(camera, T_ego_right), baseline_m
+        return RectifiedCamera(camera, T_ego_left), RectifiedCamera(camera, T_ego_right), baseline_m
 
     def _value(self, name: str) -> dict[str, Any]:
         value = self._values.get(f"image_raw_{name}")
@@ -125,7 +126,11 @@ class Calibration:
 
 
 def to_pose(rotation_wxyz: object, translation_m: object, where: str) -> Matrix:
-    """Turn a quaternion (w, x, y, z) and a translation into (4, 4); DataError where they are not 4 and 3 numbers."""
+    """Turn a quaternion (w, x, y, z) and a translation, metres, into (4, 4).
+
+    Raises:
+        DataError: they are not 4 and 3 finite numbers; `where` names them.
+    """
     try:
         q, t = np.array(rotation_wxyz, dtype=np.float64), np.array(translation_m, dtype=np.float64)
     except (TypeError, ValueError):

@@ -53,12 +53,12 @@ def read_key_values(path: Path) -> dict[str, npt.NDArray[np.float64]]:
 
 def need(values: dict[str, npt.NDArray[np.float64]], key: str, count: int, path: Path) -> npt.NDArray[np.float64]:
     """Return values[key], or raise DataError that names file and key where it is missing, short or not finite."""
-    found = values.get(key)
-    if found is None:
+    numbers = values.get(key)
+    if numbers is None:
         raise DataError(f"{path}: calibration key {key} is missing or no numbers: download the calibration again")
-    if found.size != count or not np.isfinite(found).all():
-        raise DataError(f"{path}: {key} should be {count} finite numbers, found {found.tolist()}")
-    return found
+    if numbers.size != count or not np.isfinite(numbers).all():
+        raise DataError(f"{path}: {key} should be {count} finite numbers, found {numbers.tolist()}")
+    return numbers
 
 
 def split_projection(P: Matrix, key: str, path: Path) -> tuple[Matrix, Matrix]:
@@ -83,8 +83,8 @@ def check_baseline(baseline_m: float, what: str, path: Path) -> float:
 def check_size(array: npt.NDArray[Any], path: Path, camera: Camera) -> Any:
     """Return the array, or raise DataError where its size is not the calibration's."""
     if array.shape[:2] != camera.size:
-        found, wanted = (f"{width}x{height}" for height, width in (array.shape[:2], camera.size))
-        raise DataError(f"{path}: is {found}, the calibration is for {wanted}: was one of them resized?")
+        actual, wanted = (f"{width}x{height}" for height, width in (array.shape[:2], camera.size))
+        raise DataError(f"{path}: is {actual}, the calibration is for {wanted}: was one of them resized?")
     return array
 
 
@@ -113,8 +113,8 @@ def parse_pose(line: str, where: str) -> Matrix:
     except ValueError as error:
         raise DataError(f"{where}: not 12 numbers: {line.strip()[:40]!r}") from error
     if numbers.size != 12 or not np.isfinite(numbers).all():
-        found = f"{numbers.size} numbers" if numbers.size != 12 else "NaN or inf"
-        raise DataError(f"{where}: a pose should be 12 finite numbers, found {found}: repair it or leave the frame out")
+        wrong = f"{numbers.size} numbers" if numbers.size != 12 else "NaN or inf"
+        raise DataError(f"{where}: a pose should be 12 finite numbers, found {wrong}: repair it or leave the frame out")
     T = np.eye(4)
     T[:3] = numbers.reshape(3, 4)
     return T
@@ -180,26 +180,30 @@ def search(path: Path, wanted: Callable[[Path], bool], depth: int) -> list[Path]
     """
     level = [path]
     for _ in range(depth + 1):
-        found = [folder for folder in level if wanted(folder)]
-        if found or len(level) > 10_000:
-            return found
+        matches = [folder for folder in level if wanted(folder)]
+        if matches or len(level) > 10_000:
+            return matches
         level = [below for folder in level for below in subfolders(folder)]
     return []
 
 
-def choose(found: list[Path], drive: str | None, path: Path, what: str) -> Path:
-    """Return the one folder wanted: the only one, or the one named by --drive."""
-    chosen = [folder for folder in found if drive is None or folder.name == drive]
-    some = ", ".join(folder.name for folder in found[:5]) + (", ..." if len(found) > 5 else "")
-    if not chosen and found:
+def choose(folders: list[Path], drive: str | None, path: Path, what: str) -> Path:
+    """Return the only drive among the folders that `path` holds, or the one that --drive names.
+
+    Raises:
+        DataError: there is none, or more than one; `what` says in words what a drive's folder holds.
+    """
+    named = [folder for folder in folders if drive is None or folder.name == drive]
+    some = ", ".join(folder.name for folder in folders[:5]) + (", ..." if len(folders) > 5 else "")
+    if not named and folders:
         raise DataError(f"{path}: no drive {drive!r} in it: found {some}")
-    if not chosen:
+    if not named:
         raise DataError(f"{path}: {what} not found in it")
-    if len(chosen) > 1 and drive is not None:
-        raise DataError(f"{path}: holds {len(chosen)} drives named {drive}: name the folder itself, e.g. {chosen[0]}")
-    if len(chosen) > 1:
-        raise DataError(f"{path}: holds {len(chosen)} drives: choose with --drive {chosen[0].name} (found {some})")
-    return chosen[0]
+    if len(named) > 1 and drive is not None:
+        raise DataError(f"{path}: holds {len(named)} drives named {drive}: name the folder itself, e.g. {named[0]}")
+    if len(named) > 1:
+        raise DataError(f"{path}: holds {len(named)} drives: choose with --drive {named[0].name} (found {some})")
+    return named[0]
 
 
 def digest(files: Iterable[Path]) -> str:

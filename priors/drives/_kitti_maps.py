@@ -10,26 +10,29 @@ from priors import codecs
 from priors.drives._files import stems
 from priors.errors import DataError
 
+KINDS = {"truth": "groundtruth", "sparse": "velodyne_raw"}
+"""What a frame reads a map as -> the data set's name for it."""
 FOLDERS = ("kitti_depth", "data_depth_annotated", "data_depth_velodyne", "depth")
 
 
 def given(truth: Path, drive: str, camera: str) -> dict[str, dict[str, Path]]:
-    """Map kind to {frame id: map} in the folder that --truth names; DataError where it has no groundtruth."""
+    """Map truth and sparse to {frame id: map} in the folder that --truth names; DataError where it has no truth."""
     roots = [truth, *(truth / name for name in FOLDERS)]
-    maps = {kind: _first(roots, drive, camera, kind) for kind in ("groundtruth", "velodyne_raw")}
-    if not maps["groundtruth"]:
+    maps = {what: _first(roots, drive, camera, kind) for what, kind in KINDS.items()}
+    if not maps["truth"]:
         wanted = f"[train/]{drive}/proj_depth/groundtruth/{camera}"
         raise DataError(f"{truth}: --truth should hold {wanted}, found none")
     return maps
 
 
 def beside(above: list[Path], drive: str, camera: str, size: tuple[int, int]) -> dict[str, dict[str, Path]]:
-    """Map kind to {frame id: map} found in the folders above a drive; maps of another size are another drive's."""
-    return {kind: _first(_roots(above), drive, camera, kind, size) for kind in ("groundtruth", "velodyne_raw")}
+    """Map truth and sparse to {frame id: map} found above a drive; maps of another size are another drive's."""
+    return {what: _first(_roots(above), drive, camera, kind, size) for what, kind in KINDS.items()}
 
 
-def lacking(above: list[Path], drive: str, camera: str, kind: str) -> str:
-    """Say why no map of a kind was found beside a drive, and what to do."""
+def lacking(above: list[Path], drive: str, camera: str, what: str) -> str:
+    """Say why no map to be read as `what` is beside a drive, and what to do."""
+    kind = KINDS[what]
     of_any_size = _first(_roots(above), drive, camera, kind)
     if of_any_size:
         return f"{next(iter(of_any_size.values())).parent}: these maps are for another image size: make them anew"

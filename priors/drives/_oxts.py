@@ -1,8 +1,8 @@
 """KITTI's oxts: the IMU's poses in metres, at the frames' own times.
 
 A KITTI frame keeps the nearest of the IMU's records, which come at 100 Hz: up to 5 ms lie between, 7 cm at 50 km/h,
-and poses taken as they are step back and forth by that. The records' stamps tell: the scanner turns at a steady rate,
-so the frames' own times lie on a line through them.
+and poses taken as they are step back and forth by that. The scanner turns at a steady rate, so the frames' own times
+lie on a line through the records' time stamps.
 """
 
 from collections.abc import Mapping
@@ -20,9 +20,9 @@ from priors.types import Matrix
 
 EARTH_RADIUS_M = 6378137.0
 
-AROUND = 10  # frames before and after through whose stamps the line goes: 21 leave 0.6 ms of the 5
-FEWEST = 5
-RECORD_S = 0.01  # stamps farther from the line are no rounding: then nothing is known about the frames' times
+FRAMES_AROUND = 10  # the line is fitted to so many frames before and after: 0.6 ms of the 5 are left
+FEWEST_STAMPS = 5
+RECORD_S = 0.01  # where a stamp lies farther from the line, nothing is known about the frames' times
 
 
 class Track:
@@ -78,7 +78,7 @@ class Track:
 
     @cached_property
     def _mercator_scale(self) -> float:
-        """The first record's: damaged, it leaves no frame a pose."""
+        """Return the Mercator projection's scale at the first record; where that is damaged, no frame has a pose."""
         try:
             return float(np.cos(np.radians(_read_fields(next(iter(self.files.values())))[0])))
         except DataError as error:
@@ -88,12 +88,12 @@ class Track:
 def late_s(stamps_s: Mapping[int, float]) -> dict[int, float]:
     """Return by frame how much later it was taken than its record was stamped, seconds, within ± RECORD_S.
 
-    Frames whose stamps do not lie along a line, with the stamps around, are left out.
+    A frame is left out where its stamp and those around it do not lie on a line.
     """
     late = {}
     for number in stamps_s:
-        around = [other for other in range(number - AROUND, number + AROUND + 1) if other in stamps_s]
-        if len(around) < FEWEST:
+        around = [other for other in range(number - FRAMES_AROUND, number + FRAMES_AROUND + 1) if other in stamps_s]
+        if len(around) < FEWEST_STAMPS:
             continue
         steps = np.array(around, dtype=np.float64) - number
         stamps = np.array([stamps_s[other] for other in around]) - stamps_s[number]

@@ -64,9 +64,9 @@ def _parse(data: bytes) -> npt.NDArray[np.void]:
         if table.shape != (count, len(dtype.names or ())):
             raise ValueError(f"{count} vertices announced, {table.shape[0]} rows of {table.shape[1]} found")
         return np.rec.fromarrays(list(table.T), dtype=dtype)
-    found = (len(data) - body) // dtype.itemsize
-    if found < count:
-        raise ValueError(f"truncated: {count} vertices announced, {found} found")
+    whole = (len(data) - body) // dtype.itemsize
+    if whole < count:
+        raise ValueError(f"truncated: {count} vertices announced, {whole} found")
     return np.frombuffer(data, dtype, count, body)
 
 

@@ -1,7 +1,7 @@
-"""The cars whose stereo pairs are known: the usual error of their rectification, for drives that cannot measure it."""
+"""Rigs: cars, and the usual rectification error of their stereo pairs, for drives that cannot measure it."""
 
 from priors.types import Rig
 
 KITTI = Rig("kitti", focal_px=718.0, shift_px=0.5, tilt_px=0.0, yaw_px=1.1, pitch_px=-0.7, scale=0.981)
-"""Where from: docs/methods/stereo.md."""
+"""How it was measured: docs/methods/stereo.md."""
 RIGS = {KITTI.name: KITTI}

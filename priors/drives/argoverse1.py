@@ -22,19 +22,18 @@ from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from priors import codecs
-from priors.drives import DriveOptions
-from priors.drives._argoverse1_calibration import Calibration, View, to_pose
+from priors.drives import CameraDrive, DriveOptions
+from priors.drives._argoverse1_calibration import LogCalibration, RectifiedCamera, to_pose
+from priors.drives._camera_drive import Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     check_size,
     choose,
-    digest,
     follow,
     read_json,
     read_sized,
@@ -44,7 +43,7 @@ from priors.drives._files import (
 from priors.drives._ply import read_ply
 from priors.errors import DataError
 from priors.geometry import convert_disparity, invert
-from priors.types import Depth, Frame, Image, Matrix, Sweep
+from priors.types import Depth, Image, Matrix, Sweep
 
 TRACKING, STEREO = "vehicle_calibration_info.json", "vehicle_calibration_stereo_info.json"
 PAIR = ("stereo_front_left", "stereo_front_right")
@@ -69,105 +68,107 @@ def _is_log(folder: Path) -> bool:
     return (folder / TRACKING).is_file() or (folder / STEREO).is_file()
 
 
-class Argoverse1:
+class Argoverse1(CameraDrive):
     """One camera's view of one log."""
 
+    pairs = (PAIR, PAIR_RECT)
+
     def __init__(self, folder: Path, options: DriveOptions) -> None:
-        self.folder, self._truth_option = folder.absolute(), options.truth
-        self.camera_name = options.camera or next((c for c in DEFAULTS if (folder / c).is_dir()), DEFAULTS[-1])
-        self._images = by_time(follow(self.folder / self.camera_name), IMAGE_SUFFIXES)
-        if not self._images:
-            found = ", ".join(sorted(p.name for p in folder.iterdir() if p.name.startswith(("ring_", "stereo_"))))
-            raise DataError(f"{folder / self.camera_name}: no images: choose a --camera (found {found or 'none'})")
-        self._calibration_file = self.folder / (STEREO if self.camera_name in PAIR_RECT else TRACKING)
-        self.side: Literal["left", "right"] = "right" if "_right" in self.camera_name else "left"
-        self._others = by_time(follow(self.folder / self._partner), IMAGE_SUFFIXES) if self._partner else {}
-        self._view, self._other_view, self.baseline_m = self._read_views()
+        camera = options.camera or next((c for c in DEFAULTS if (folder / c).is_dir()), DEFAULTS[-1])
+        super().__init__(folder.absolute(), camera, options.truth)
+        images = by_time(follow(self.folder / camera), IMAGE_SUFFIXES)
+        if not images:
+            cameras = sorted(p.name for p in folder.iterdir() if p.name.startswith(("ring_", "stereo_")))
+            raise DataError(f"{folder / camera}: no images: choose a --camera (found {', '.join(cameras) or 'none'})")
+        self.images, self._times = {str(time): path for time, path in images.items()}, list(images)
+        self._partner_images = by_time(follow(self.folder / self.partner), IMAGE_SUFFIXES) if self.partner else {}
+        self._calibration_file = self.folder / (STEREO if camera in PAIR_RECT else TRACKING)
+        self._rectified, self._partner_rectified, self.baseline_m = self._read_cameras()
+        self.camera = self._rectified.camera
         log = self._companion()
         self._sweeps = by_time(follow(log / "lidar"), [".ply"])
         self._poses = by_time(follow(log / "poses"), [".json"])
+        self._partner_times, self._sweep_times = list(self._partner_images), list(self._sweeps)
+        self._pose_times = list(self._poses)
         self._disparities = self._find_disparities()
-        self._times, self._other_times = list(self._images), list(self._others)
-        self._sweep_times, self._pose_times = list(self._sweeps), list(self._poses)
-        self.ids: Sequence[str] = [str(time) for time in self._times]
 
-    @property
-    def name(self) -> str:
-        """Log id and camera."""
-        return f"{self.folder.name}-{self.camera_name}"
-
-    def describe(self) -> dict[str, Any]:
-        """Return what a manifest records and `reopen` needs."""
-        truth = None if self._truth_option is None else str(Path(self._truth_option).resolve())
-        return {"dataset": "argoverse1", "path": str(self.folder), "camera": self.camera_name, "truth": truth}
-
-    def fingerprint(self) -> str:
-        """Digest calibration, poses and the first image."""
-        return digest([self._calibration_file, *self._poses.values(), next(iter(self._images.values()))])
+    def sources(self) -> list[Path]:
+        """List the files of calibration and poses."""
+        return [self._calibration_file, *self._poses.values()]
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that have a partner and a sweep near enough in time, and truth, for the audit."""
-        near = {"other": (self._other_times, NEAR_OTHER_NS), "sweep": (self._sweep_times, NEAR_SWEEP_NS)}
-        found = {what: [str(t) for t in self._times if nearest(times, t, ns)] for what, (times, ns) in near.items()}
-        return found | {"truth": [str(time) for time in self._disparities]}
+        return {
+            "other": [
+                str(time) for time in self._times if nearest(self._partner_times, time, NEAR_OTHER_NS) is not None
+            ],
+            "sweep": [str(time) for time in self._times if nearest(self._sweep_times, time, NEAR_SWEEP_NS) is not None],
+            "truth": [str(time) for time in self._disparities],
+        }
 
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def __getitem__(self, index: int) -> Frame:
-        time = self._times[index]
-        sources: dict[str, Any] = {"image": partial(_read_view, self._images[time], self._view)}
-        other = nearest(self._other_times, time, NEAR_OTHER_NS)
-        if other is not None and self._other_view is not None:
-            sources["other"] = partial(_read_view, self._others[other], self._other_view)
-        if self._sweeps and self._view.T_ego_cam is not None:
-            sources["sweep"] = lambda offset=0: self._read_sweep(time, offset)
+    def readers(self, id_: str) -> Readers:
+        """Return what can be read of a frame; images are rectified, what is near in time belongs to the frame."""
+        time = int(id_)
+        readers: Readers = {"image": partial(_read_rectified, self.images[id_], self._rectified)}
+        other = nearest(self._partner_times, time, NEAR_OTHER_NS)
+        if other is not None and self._partner_rectified is not None:
+            readers["other"] = partial(_read_rectified, self._partner_images[other], self._partner_rectified)
+        if self._sweeps and self._rectified.T_ego_cam is not None:
+            readers["sweep"] = lambda offset=0: self._read_sweep(time, offset)
         if time in self._disparities:
-            sources["truth"] = partial(self._read_truth, self._disparities[time])
-        T_world_ego = self._pose(time)
-        T_ego_cam = self._view.T_ego_cam
-        return Frame(
-            id=self.ids[index],
-            camera=self._view.camera,
-            readers=sources,
-            missing=self._missing(time),
-            T_world_cam=None if T_world_ego is None or T_ego_cam is None else T_world_ego @ T_ego_cam,
-            T_cam_lidar=self._T_cam_lidar(time, T_world_ego),
-            time_s=(time - self._times[0]) * 1e-9,
-            baseline_m=self.baseline_m,
-            side=self.side,
-        )
+            readers["truth"] = partial(self.read_map, self._disparities[time])
+        return readers
 
-    def _missing(self, time: int) -> dict[str, str]:
+    def read_map(self, path: Path) -> Depth:
+        """Read a disparity map as depth."""
+        disparity_px = check_size(codecs.read_depth_png(path), path, self.camera)
+        if self.baseline_m is None:
+            raise DataError(f"{path}: disparity without a baseline: choose a --camera of the pair")
+        return Depth(convert_disparity(disparity_px, self.camera.fx, self.baseline_m))
+
+    def T_world_cam(self, id_: str) -> Matrix | None:
+        """Return the camera's pose; None without poses around the image's time, or a place on the vehicle."""
+        T_world_ego, T_ego_cam = self._T_world_ego(int(id_)), self._rectified.T_ego_cam
+        return None if T_world_ego is None or T_ego_cam is None else T_world_ego @ T_ego_cam
+
+    def T_cam_lidar(self, id_: str) -> Matrix | None:
+        """Map the nearest sweep, at its own time, into the camera at the image's time."""
+        if self._rectified.T_ego_cam is None:
+            return None
+        T_cam_ego, T_world_ego = invert(self._rectified.T_ego_cam), self._T_world_ego(int(id_))
+        sweep = nearest(self._sweep_times, int(id_), NEAR_SWEEP_NS)
+        T_world_lidar = None if sweep is None else self._T_world_ego(sweep)
+        if T_world_ego is None or T_world_lidar is None:
+            return T_cam_ego
+        return T_cam_ego @ invert(T_world_ego) @ T_world_lidar
+
+    def time_s(self, id_: str) -> float:
+        """Return seconds since the log's first image."""
+        return (int(id_) - self._times[0]) * 1e-9
+
+    def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
         other = "ring cameras have no partner: stereo needs --camera stereo_front_left"
-        if self._partner is not None:
-            other = f"{self.folder / self._partner}: no image within 10 ms of {time}: stereo needs both cameras"
+        if self.partner is not None:
+            other = f"{self.folder / self.partner}: no image within 10 ms of {id_}: stereo needs both cameras"
         sweep = f"{self.folder}: no lidar/PC_*.ply: put argoverse-tracking beside the stereo release"
         if self._sweeps:
             sweep = f"{self._calibration_file}: no {PAIR_RECT[0]}_refined: the camera's place on the car is unknown"
-        truth = f"no {PAIR_RECT[0]}_disparity map of {time} in disparity_maps_v1.1, beside or under --truth"
+        truth = f"no {PAIR_RECT[0]}_disparity map of {id_} in disparity_maps_v1.1, beside or under --truth"
         if self.camera_name != PAIR_RECT[0]:
             truth = f"disparity truth is for {PAIR_RECT[0]} of the rectified stereo release, not for {self.camera_name}"
         sparse = "Argoverse has no sparse depth maps: use --completion.source lidar"
         return {"other": other, "sweep": sweep, "truth": truth, "sparse": sparse, "sky": "Argoverse has no sky masks"}
 
-    @property
-    def _partner(self) -> str | None:
-        for pair in (PAIR, PAIR_RECT):
-            if self.camera_name in pair:
-                return pair[1 - pair.index(self.camera_name)]
-        return None
-
-    def _read_views(self) -> tuple[View, View | None, float | None]:
+    def _read_cameras(self) -> tuple[RectifiedCamera, RectifiedCamera | None, float | None]:
         """Read this camera, its partner and their baseline."""
-        calibration = Calibration(self._calibration_file)
-        if self._partner is None:
-            return calibration.view(self.camera_name), None, None
+        calibration = LogCalibration(self._calibration_file)
+        if self.partner is None:
+            return calibration.ring_camera(self.camera_name), None, None
         if self.camera_name in PAIR:
-            left, right, baseline_m = calibration.rectify(*PAIR)
+            left, right, baseline_m = calibration.rectify_pair(*PAIR)
         else:
-            left, right, baseline_m = calibration.rectified(*PAIR_RECT)
+            left, right, baseline_m = calibration.rectified_pair(*PAIR_RECT)
         return (left, right, baseline_m) if self.side == "left" else (right, left, baseline_m)
 
     def _companion(self) -> Path:
@@ -175,13 +176,13 @@ class Argoverse1:
         if (self.folder / "poses").exists() or (self.folder / "lidar").exists():
             return self.folder
         for above in list(self.folder.parents)[1:4]:
-            found = next(iter(sorted(above.glob(f"argoverse-tracking/*/{self.folder.name}"))), None)
-            if found is not None:
-                return found
+            logs = sorted(above.glob(f"argoverse-tracking/*/{self.folder.name}"))
+            if logs:
+                return logs[0]
         return self.folder
 
-    def _pose(self, time: int) -> Matrix | None:
-        """T_world_ego at a time in ns: as stored, or interpolated between the poses around it; None outside."""
+    def _T_world_ego(self, time: int) -> Matrix | None:
+        """Return the vehicle's pose at a time in ns: stored, or interpolated between the poses around; else None."""
         after = bisect_left(self._pose_times, time)
         around = self._pose_times[max(after - 1, 0) : after + 1]
         if time in around:
@@ -196,17 +197,6 @@ class Argoverse1:
         T_a_time[:3, 3] = share * T_a_b[:3, 3]
         return T_world_a @ T_a_time
 
-    def _T_cam_lidar(self, time: int, T_world_ego: Matrix | None) -> Matrix | None:
-        """Map the nearest sweep, at its own time, into the camera at the image's time."""
-        if self._view.T_ego_cam is None:
-            return None
-        T_cam_ego = invert(self._view.T_ego_cam)
-        sweep = nearest(self._sweep_times, time, NEAR_SWEEP_NS)
-        T_world_lidar = None if sweep is None else self._pose(sweep)
-        if T_world_ego is None or T_world_lidar is None:
-            return T_cam_ego
-        return T_cam_ego @ invert(T_world_ego) @ T_world_lidar
-
     def _read_sweep(self, time: int, offset: int) -> Sweep | None:
         first = nearest(self._sweep_times, time, NEAR_SWEEP_NS)
         if first is None:
@@ -215,26 +205,21 @@ class Argoverse1:
         if not 0 <= index < len(self._sweep_times):
             return None
         sweep = self._sweep_times[index]
-        return Sweep(read_ply(self._sweeps[sweep]), self._pose(sweep))
+        return Sweep(read_ply(self._sweeps[sweep]), self._T_world_ego(sweep))
 
     def _find_disparities(self) -> dict[int, Path]:
         if self.camera_name != PAIR_RECT[0]:
             return {}
         split, log = self.folder.parent.name, self.folder.name
         inside = f"{log}/{PAIR_RECT[0]}_disparity"
-        if self._truth_option is None:
+        if self.truth is None:
             return by_time(self.folder.parents[2] / "disparity_maps_v1.1" / split / inside, [".png"])
-        truth = Path(self._truth_option)
+        truth = Path(self.truth)
         for root in (truth / "disparity_maps_v1.1" / split, truth / split, truth):
-            found = by_time(root / inside, [".png"])
-            if found:
-                return found
+            maps = by_time(root / inside, [".png"])
+            if maps:
+                return maps
         raise DataError(f"{truth}: --truth should hold disparity_maps_v1.1/{split}/{inside}, found none")
-
-    def _read_truth(self, path: Path) -> Depth:
-        disparity_px = check_size(codecs.read_depth_png(path), path, self._view.camera)
-        assert self.baseline_m is not None  # the pair's calibration has been read
-        return Depth(convert_disparity(disparity_px, self._view.camera.fx, self.baseline_m))
 
 
 def by_time(folder: Path, suffixes: Iterable[str]) -> dict[int, Path]:
@@ -260,5 +245,5 @@ def _read_pose(path: Path) -> Matrix:
     return to_pose(data.get("rotation"), data.get("translation"), str(path))
 
 
-def _read_view(path: Path, view: View) -> Image:
-    return view.view(read_sized(path, view.camera))  # rectifying keeps the size
+def _read_rectified(path: Path, camera: RectifiedCamera) -> Image:
+    return camera.rectify(read_sized(path, camera.camera))

@@ -12,39 +12,33 @@ Quirks kept here:
 - The sequences are cut from raw drives, whose depth maps serve as truth (--truth DIR) for image_2 and image_3.
 """
 
-from collections.abc import Sequence
-from functools import cached_property, partial
+from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
 
 import numpy as np
 
-from priors import codecs
-from priors.drives import DriveOptions, _kitti_maps
+from priors.drives import CameraDrive, DriveOptions, _kitti_maps
+from priors.drives._camera_drive import Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
-    check_baseline,
-    check_size,
     choose,
-    digest,
     first_size,
     follow,
     need,
     parse_pose,
     read_key_values,
-    read_sized,
     read_text,
     split_projection,
     stems,
     subfolders,
 )
 from priors.drives._rigs import KITTI
-from priors.drives.kitti_raw import read_sweep_file
+from priors.drives._velodyne import read_sweep_file
 from priors.errors import DataError
 from priors.geometry import invert
-from priors.types import Camera, Depth, Frame, Matrix, Sweep
+from priors.types import Camera, Matrix, Sweep
 
-PARTNER = {"image_0": "image_1", "image_1": "image_0", "image_2": "image_3", "image_3": "image_2"}
+CAMERAS = ("image_0", "image_1", "image_2", "image_3")
 SEQUENCES = tuple(f"{number:02}" for number in range(22))
 BASELINES_M = (0.53, 0.5395)
 # Sequence -> raw drive and the raw frame that became frame 0 (the devkit's readme).
@@ -84,82 +78,67 @@ def _sequences(path: Path) -> list[Path]:
 
 
 def _has_images(folder: Path) -> bool:
-    return any((folder / name).is_dir() for name in PARTNER)
+    return any((folder / name).is_dir() for name in CAMERAS)
 
 
-class KittiOdometry:
+class KittiOdometry(CameraDrive):
     """One camera's view of one sequence."""
 
+    pairs = (("image_0", "image_1"), ("image_2", "image_3"))
+    usual_camera = "image_2"
+
     def __init__(self, folder: Path, camera: str, truth: Path | None = None) -> None:
-        self.folder, self.camera_name, self._truth_option = folder.absolute(), camera, truth
-        if camera not in PARTNER:
-            raise DataError(f"{folder}: no camera {camera!r}: choose one of {', '.join(PARTNER)}")
-        self._images = self._list_images(camera)
-        if not self._images:
-            found = ", ".join(name for name in PARTNER if (folder / name).is_dir())
-            raise DataError(f"{folder / camera}: no images: download {_image_zip(camera)} (found {found})")
-        self._others = self._list_images(PARTNER[camera])
+        super().__init__(folder.absolute(), camera, truth)
+        partner = self.paired_camera()
+        self.images, self.others = self._list_images(camera), self._list_images(partner)
+        if not self.images:
+            others = ", ".join(name for name in CAMERAS if (folder / name).is_dir())
+            raise DataError(f"{folder / camera}: no images: download {_image_zip(camera)} (found {others})")
         self._sweeps = stems(follow(self.folder / "velodyne"), [".bin"])
-        self.ids: Sequence[str] = list(self._images)
         self._calibration = read_key_values(self.folder / "calib.txt")
         K, self._T_cam_cam0 = self._projection(camera)
-        self._camera = Camera(K, first_size(self._images.values()))
+        self.camera = Camera(K, first_size(self.images.values()))
         self._check_centre()
-        self.side: Literal["left", "right"] = "left" if camera in ("image_0", "image_2") else "right"
-        self.baseline_m = self._read_baseline()
-        self._maps, self._first_raw = self._find_maps()
+        self.baseline_m = self._read_baseline(partner) if self.others else None
+        self.rig = KITTI if self._is_kittis() else None
+        self.maps = self._find_maps()
 
     @property
     def name(self) -> str:
-        """Sequence's name; cameras other than image_2 are named too."""
-        name = f"kitti_odometry_{self.folder.name}"
-        return name if self.camera_name == "image_2" else f"{name}-{self.camera_name}"
+        """The data set and the sequence; cameras other than image_2 are named too."""
+        return f"kitti_odometry_{super().name}"
 
-    def describe(self) -> dict[str, Any]:
-        """Return what a manifest records and `reopen` needs."""
-        truth = None if self._truth_option is None else str(Path(self._truth_option).resolve())
-        return {"dataset": "kitti_odometry", "path": str(self.folder), "camera": self.camera_name, "truth": truth}
-
-    def fingerprint(self) -> str:
-        """Digest calibration, poses and the first image."""
-        poses = [self._pose_file] if self._pose_file.is_file() else []
-        return digest([self.folder / "calib.txt", *poses, next(iter(self._images.values()))])
+    def sources(self) -> list[Path]:
+        """List the files of calibration and poses."""
+        return [self.folder / "calib.txt", *([self._pose_file] if self._pose_file.is_file() else [])]
 
     def scans(self) -> dict[str, list[str]]:
-        """List the frame ids each sensor has, for the audit."""
-        return {"other": list(self._others), "sweep": list(self._sweeps)}
+        """List the frame ids that each sensor has, for the audit."""
+        return {"other": list(self.others), "sweep": list(self._sweeps)}
 
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def __getitem__(self, index: int) -> Frame:
-        id_ = self.ids[index]
-        sources: dict[str, Any] = {"image": partial(read_sized, self._images[id_], self._camera)}
-        if id_ in self._others:
-            sources["other"] = partial(read_sized, self._others[id_], self._camera)
+    def readers(self, id_: str) -> Readers:
+        """Return what can be read of a frame: also sweeps."""
+        readers = super().readers(id_)
         if self._sweeps and self._T_cam0_velo is not None:
-            sources["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
-        for what, kind in (("truth", "groundtruth"), ("sparse", "velodyne_raw")):
-            map_ = self._map(kind, id_)
-            if map_ is not None:
-                sources[what] = partial(self._read_map, map_)
-        T_world_cam0 = self._pose(id_)
-        return Frame(
-            id=id_,
-            camera=self._camera,
-            readers=sources,
-            missing=self._missing(id_),
-            T_world_cam=None if T_world_cam0 is None else T_world_cam0 @ invert(self._T_cam_cam0),
-            T_cam_lidar=None if self._T_cam0_velo is None else self._T_cam_cam0 @ self._T_cam0_velo,
-            time_s=self._times.get(id_),
-            baseline_m=self.baseline_m,
-            rig=KITTI if self._is_kittis() else None,
-            side=self.side,
-        )
+            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
+        return readers
 
-    def _missing(self, id_: str) -> dict[str, str]:
+    def T_world_cam(self, id_: str) -> Matrix | None:
+        """Return the pose of this camera, which stands beside camera 0."""
+        T_world_cam0 = self._T_world_cam0(id_)
+        return None if T_world_cam0 is None else T_world_cam0 @ invert(self._T_cam_cam0)
+
+    def T_cam_lidar(self, id_: str) -> Matrix | None:
+        """Return the LiDAR's place, the same at every frame."""
+        return None if self._T_cam0_velo is None else self._T_cam_cam0 @ self._T_cam0_velo
+
+    def time_s(self, id_: str) -> float | None:
+        """Return the time that times.txt tells."""
+        return self._times.get(id_)
+
+    def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and which zip has it."""
-        other = f"{self.folder / PARTNER[self.camera_name]}: no image {id_}: stereo needs both cameras: "
+        other = f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras: "
         sweep = f"{self.folder / 'velodyne'}: no sweeps: download data_odometry_velodyne.zip"
         if self._sweeps:
             calib = self.folder / "calib.txt"
@@ -167,7 +146,7 @@ class KittiOdometry:
             sweep += "take calib.txt from data_odometry_calib.zip"
         raw = RAW_DRIVE.get(self.folder.name)
         truth = "the odometry data set has no depth maps for this camera: use --camera image_2"
-        if raw is not None and self.camera_name in ("image_2", "image_3"):
+        if raw is not None and self.camera_name in self.pairs[1]:
             truth = f"no depth map: name the folder that holds train/{raw[0]}/proj_depth with --truth"
         return {
             "other": other + f"download {_image_zip(self.camera_name)}",
@@ -187,18 +166,15 @@ class KittiOdometry:
 
     def _check_centre(self) -> None:
         """Raise DataError where the principal point is outside the image's middle half: one of them was resized."""
-        (height, width), K = self._camera.size, self._camera.K
+        (height, width), K = self.camera.size, self.camera.K
         if not (0.25 < K[0, 2] / width < 0.75 and 0.25 < K[1, 2] / height < 0.75):
-            found = f"the images are {width}x{height}, the calibration's centre is ({K[0, 2]:.0f}, {K[1, 2]:.0f})"
-            raise DataError(f"{self.folder / 'calib.txt'}: {found}: was one of them resized?")
+            centre = f"the calibration's centre is ({K[0, 2]:.0f}, {K[1, 2]:.0f})"
+            images = f"the images are {width}x{height}"
+            raise DataError(f"{self.folder / 'calib.txt'}: {images}, {centre}: was one of them resized?")
 
-    def _read_baseline(self) -> float | None:
-        if not self._others:
-            return None
-        _, T_other_cam0 = self._projection(PARTNER[self.camera_name])
-        offset_m = float(self._T_cam_cam0[0, 3] - T_other_cam0[0, 3])
-        what = f"from {self.camera_name} to {PARTNER[self.camera_name]}"
-        return check_baseline(offset_m if self.side == "left" else -offset_m, what, self.folder / "calib.txt")
+    def _read_baseline(self, partner: str) -> float:
+        _, T_other_cam0 = self._projection(partner)
+        return self.baseline(float(self._T_cam_cam0[0, 3] - T_other_cam0[0, 3]), self.folder / "calib.txt")
 
     def _is_kittis(self) -> bool:
         """Tell whether this is a sequence of KITTI's own, by its number and its baseline: others use its layout."""
@@ -221,8 +197,8 @@ class KittiOdometry:
     def _pose_lines(self) -> list[str]:
         return read_text(self._pose_file).splitlines() if self._pose_file.is_file() else []
 
-    def _pose(self, id_: str) -> Matrix | None:
-        """T_world_cam0 at a frame; None where the sequence has no poses (11-21, or the poses were not downloaded)."""
+    def _T_world_cam0(self, id_: str) -> Matrix | None:
+        """Return the pose of camera 0; None for a sequence without poses (11-21, or they were not downloaded)."""
         lines, number = self._pose_lines, int(id_)
         if not lines:
             return None
@@ -248,22 +224,21 @@ class KittiOdometry:
         id_ = f"{number:0{width}d}"
         if id_ not in self._sweeps or self._T_cam0_velo is None:
             return None
-        T_world_cam0 = self._pose(id_)
+        T_world_cam0 = self._T_world_cam0(id_)
         T_world_lidar = None if T_world_cam0 is None else T_world_cam0 @ self._T_cam0_velo
         return Sweep(read_sweep_file(self._sweeps[id_]), T_world_lidar)
 
-    def _find_maps(self) -> tuple[dict[str, dict[str, Path]], int]:
-        """Find the raw drive's depth maps by kind and raw frame id, and the raw frame that is frame 0."""
+    def _find_maps(self) -> dict[str, dict[str, Path]]:
+        """Find the raw drive's depth maps: truth and sparse, by this sequence's frame ids."""
         raw_drive, first = RAW_DRIVE.get(self.folder.name, ("", 0))
-        if self._truth_option is None or not raw_drive or self.camera_name not in ("image_2", "image_3"):
-            return {}, first
-        return _kitti_maps.given(Path(self._truth_option), raw_drive, f"image_0{self.camera_name[-1]}"), first
-
-    def _map(self, kind: str, id_: str) -> Path | None:
-        return self._maps.get(kind, {}).get(f"{int(id_) + self._first_raw:010d}")
-
-    def _read_map(self, path: Path) -> Depth:
-        return Depth(check_size(codecs.read_depth_png(path), path, self._camera))
+        if self.truth is None or not raw_drive or self.camera_name not in self.pairs[1]:
+            return {}
+        maps = _kitti_maps.given(Path(self.truth), raw_drive, f"image_0{self.camera_name[-1]}")
+        raw_ids = {id_: f"{int(id_) + first:010d}" for id_ in self.ids}
+        return {
+            what: {id_: paths[raw_id] for id_, raw_id in raw_ids.items() if raw_id in paths}
+            for what, paths in maps.items()
+        }
 
 
 def _image_zip(camera: str) -> str:

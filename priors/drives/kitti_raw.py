@@ -16,22 +16,18 @@ Quirks kept here:
 """
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache, partial
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from priors import codecs
-from priors.drives import DriveOptions, _kitti_maps
+from priors.drives import CameraDrive, DriveOptions, _kitti_maps
+from priors.drives._camera_drive import Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
-    check_baseline,
-    check_size,
     choose,
-    digest,
     follow,
     need,
     read_key_values,
@@ -43,16 +39,14 @@ from priors.drives._files import (
 )
 from priors.drives._oxts import Track
 from priors.drives._rigs import KITTI
+from priors.drives._velodyne import SECONDS_PER_RADIAN, SWEEP_S, read_sweep_file
 from priors.errors import DataError
 from priors.geometry import invert
-from priors.types import Camera, Depth, Frame, Matrix, Sweep
+from priors.types import Camera, Matrix, Sweep
 
-SWEEP_S = 0.1
-# The scanner turns clockwise seen from above: azimuth (x forward, y left) falls as time passes.
-SECONDS_PER_RADIAN = -SWEEP_S / (2 * np.pi)
 # Frames built in order share sweeps: 11 accumulated, and some workers ahead. 2 MB each.
 SWEEPS_KEPT = 24
-PARTNER = {"image_00": "image_01", "image_01": "image_00", "image_02": "image_03", "image_03": "image_02"}
+CAMERAS = ("image_00", "image_01", "image_02", "image_03")
 DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 """Of KITTI's own recordings; others use its layout."""
 
@@ -71,11 +65,11 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
 
 def _drive_folders(path: Path) -> list[Path]:
     """List the drives at path, or where it is none itself, one or two levels below."""
-    return search(path, lambda folder: any((folder / name / "data").is_dir() for name in PARTNER), 2)
+    return search(path, lambda folder: any((folder / name / "data").is_dir() for name in CAMERAS), 2)
 
 
 @dataclass(frozen=True)
-class Calibration:
+class RigCalibration:
     """What a date's three files say about one camera of the rig."""
 
     camera: Camera
@@ -84,80 +78,69 @@ class Calibration:
     T_velo_imu: Matrix | None
 
 
-class KittiRaw:
+class KittiRaw(CameraDrive):
     """One camera's view of one drive."""
 
+    pairs = (("image_00", "image_01"), ("image_02", "image_03"))
+    usual_camera = "image_02"
+
     def __init__(self, folder: Path, camera: str = "image_02", truth: Path | None = None) -> None:
-        self.folder, self.camera_name = folder, camera
-        if camera not in PARTNER:
-            raise DataError(f"{folder}: no camera {camera!r}: choose one of {', '.join(PARTNER)}")
-        self._images = _images(folder, camera)
-        if not self._images:
+        super().__init__(folder, camera, truth)
+        partner = self.paired_camera()
+        self.images, self.others = _images(folder, camera), _images(folder, partner)
+        if not self.images:
             raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
-        self._others = _images(folder, PARTNER[camera])
         self._sweeps = stems(follow(folder / "velodyne_points") / "data", [".bin"])
         self._track = Track(follow(folder / "oxts"))
-        self.ids = list(self._images)
         self.calibration = read_calibration(folder.parent, camera)
-        self.baseline_m, self.side = self._read_pair()
+        self.camera = self.calibration.camera
+        self.baseline_m = self._read_baseline(partner) if self.others else None
+        self.rig = KITTI if folder.name.startswith(DATES) else None
+        self.maps = self._find_maps()
         self._read_sweep = lru_cache(maxsize=SWEEPS_KEPT)(self._load_sweep)
-        self._truth_option = truth
-        self._maps = self._find_maps()
-
-    @property
-    def name(self) -> str:
-        """Drive folder's name; cameras other than the usual one are named too."""
-        return self.folder.name if self.camera_name == "image_02" else f"{self.folder.name}-{self.camera_name}"
 
     def describe(self) -> dict[str, Any]:
-        """Return what a manifest records and `open_drive` needs."""
-        truth = None if self._truth_option is None else str(Path(self._truth_option).resolve())
-        path = str(self.folder.resolve())
-        return {"dataset": "kitti_raw", "path": path, "camera": self.camera_name, "truth": truth}
+        """Return what a manifest records; where the folder is a link, the path is its target's."""
+        return {**super().describe(), "path": str(self.folder.resolve())}
 
-    def fingerprint(self) -> str:
-        """Digest calibration, oxts and the first image."""
-        calibration = sorted(self.folder.parent.glob("calib_*.txt"))
-        return digest([*calibration, *self._track.sources, next(iter(self._images.values()))])
+    def sources(self) -> list[Path]:
+        """List the files of calibration and poses."""
+        return [*sorted(self.folder.parent.glob("calib_*.txt")), *self._track.sources]
 
     def scans(self) -> dict[str, list[str]]:
-        """List the frame ids each sensor has, for the audit."""
-        return {"other": list(self._others), "sweep": list(self._sweeps), "oxts": list(self._track.files)}
+        """List the frame ids that each sensor has, for the audit."""
+        return {"other": list(self.others), "sweep": list(self._sweeps), "oxts": list(self._track.files)}
 
-    def __len__(self) -> int:
-        return len(self.ids)
+    def readers(self, id_: str) -> Readers:
+        """Return what can be read of a frame: also sweeps, and the street's sky masks."""
+        readers = super().readers(id_)
+        if self._sweeps and self.calibration.T_cam0_velo is not None:
+            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
+        if id_ in self._skies:
+            readers["sky"] = lambda: read_sized(self._skies[id_], self.camera) > 127
+        return readers
 
-    def __getitem__(self, index: int) -> Frame:
-        id_ = self.ids[index]
-        camera = self.calibration.camera
-        sources: dict[str, Any] = {"image": partial(read_sized, self._images[id_], camera)}
-        missing = {
-            "other": f"no image {PARTNER[self.camera_name]}/data/{id_} in {self.folder}: stereo needs both cameras",
+    def missing(self, id_: str) -> dict[str, str]:
+        """Say why a reader is not there, and what to do."""
+        return {
+            "other": f"no image {self.partner}/data/{id_} in {self.folder}: stereo needs both cameras",
             "sweep": f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data",
             **self._lacking_maps,
             "sky": f"no sky masks beside {self.folder.name}: KITTI has none, the embedded street has",
         }
-        if id_ in self._others:
-            sources["other"] = partial(read_sized, self._others[id_], camera)
-        if self._sweeps and self.calibration.T_cam0_velo is not None:
-            sources["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
-        if id_ in self._skies:
-            sources["sky"] = lambda: read_sized(self._skies[id_], camera) > 127
-        for what, kind in (("truth", "groundtruth"), ("sparse", "velodyne_raw")):
-            if id_ in self._maps[kind]:
-                sources[what] = partial(self._read_map, self._maps[kind][id_])
-        return Frame(
-            id=id_,
-            camera=camera,
-            readers=sources,
-            missing=missing,
-            T_world_cam=self._pose(id_),
-            T_cam_lidar=self._T_cam_velo,
-            time_s=self._times.get(int(id_)),
-            baseline_m=self.baseline_m,
-            rig=KITTI if self.folder.name.startswith(DATES) else None,
-            side=self.side,
-        )
+
+    def T_world_cam(self, id_: str) -> Matrix | None:
+        """Return the pose that oxts tells; None where the frame has no record there."""
+        T_world_velo, T_cam_velo = self._T_world_velo(id_), self.T_cam_lidar(id_)
+        return None if T_world_velo is None or T_cam_velo is None else T_world_velo @ invert(T_cam_velo)
+
+    def T_cam_lidar(self, id_: str) -> Matrix | None:
+        """Return the LiDAR's place, the same at every frame."""
+        return self._T_cam_velo
+
+    def time_s(self, id_: str) -> float | None:
+        """Return the camera's own time stamp."""
+        return self._times.get(int(id_))
 
     @cached_property
     def _skies(self) -> dict[str, Path]:
@@ -175,46 +158,31 @@ class KittiRaw:
         path = self.folder / self.camera_name / "timestamps.txt"
         return read_times(path) if path.exists() else {}
 
-    def _read_pair(self) -> tuple[float | None, Any]:
-        side = "left" if self.camera_name in ("image_00", "image_02") else "right"
-        if not self._others:
-            return None, side
-        partner = read_calibration(self.folder.parent, PARTNER[self.camera_name])
-        offset_m = float(self.calibration.T_cam_cam0[0, 3] - partner.T_cam_cam0[0, 3])
-        baseline_m = offset_m if side == "left" else -offset_m
-        path = self.folder.parent / "calib_cam_to_cam.txt"
-        return check_baseline(baseline_m, f"from {self.camera_name} to {PARTNER[self.camera_name]}", path), side
-
-    def _read_map(self, path: Path) -> Depth:
-        return Depth(check_size(codecs.read_depth_png(path), path, self.calibration.camera))
+    def _read_baseline(self, partner: str) -> float:
+        T_other_cam0 = read_calibration(self.folder.parent, partner).T_cam_cam0
+        right_m = float(self.calibration.T_cam_cam0[0, 3] - T_other_cam0[0, 3])
+        return self.baseline(right_m, self.folder.parent / "calib_cam_to_cam.txt")
 
     def _find_maps(self) -> dict[str, dict[str, Path]]:
-        """Find the drive's depth maps by kind and frame id."""
-        if self._truth_option is not None:
-            return _kitti_maps.given(Path(self._truth_option), self.folder.name, self.camera_name)
-        return _kitti_maps.beside(self._above, self.folder.name, self.camera_name, self.calibration.camera.size)
+        """Find the drive's depth maps: truth and sparse, by frame id."""
+        if self.truth is not None:
+            return _kitti_maps.given(Path(self.truth), self.folder.name, self.camera_name)
+        return _kitti_maps.beside(self._above, self.folder.name, self.camera_name, self.camera.size)
 
     @cached_property
     def _lacking_maps(self) -> dict[str, str]:
-        """Say why there is no map, by what the frame would read it as."""
+        """Say why a frame has no map, by what it would be read as."""
         reasons = {}
-        for what, kind in (("truth", "groundtruth"), ("sparse", "velodyne_raw")):
-            if self._maps[kind]:
-                reasons[what] = f"{next(iter(self._maps[kind].values())).parent}: no map of this frame"
+        for what, paths in self.maps.items():
+            if paths:
+                reasons[what] = f"{next(iter(paths.values())).parent}: no map of this frame"
             else:
-                reasons[what] = _kitti_maps.lacking(self._above, self.folder.name, self.camera_name, kind)
+                reasons[what] = _kitti_maps.lacking(self._above, self.folder.name, self.camera_name, what)
         return reasons
 
     @property
     def _above(self) -> list[Path]:
         return list(self.folder.absolute().parents)[:3]
-
-    def _pose(self, id_: str) -> Matrix | None:
-        """T_world_cam at a frame; None where the drive has no oxts for it."""
-        T_world_velo = self._T_world_velo(id_)
-        if T_world_velo is None or self._T_cam_velo is None:
-            return None
-        return T_world_velo @ invert(self._T_cam_velo)
 
     def _T_world_velo(self, id_: str) -> Matrix | None:
         T_velo_imu, T_world_imu = self.calibration.T_velo_imu, self._track.T_world_imu(id_)
@@ -237,10 +205,10 @@ class KittiRaw:
     def _velocity(self, number: int, width: int) -> Matrix | None:
         """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame."""
         around = [(k, self._pose_or_none(f"{number + k:0{width}d}")) for k in (-1, 0, 1)]
-        known = [(k, pose) for k, pose in around if pose is not None]
-        if len(known) < 2:
+        poses = [(k, pose) for k, pose in around if pose is not None]
+        if len(poses) < 2:
             return None
-        (first, T_world_a), (last, T_world_b) = known[0], known[-1]
+        (first, T_world_a), (last, T_world_b) = poses[0], poses[-1]
         seconds = (last - first) * SWEEP_S
         T_a_b = invert(T_world_a) @ T_world_b
         return np.concatenate([T_a_b[:3, 3], Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()]) / seconds
@@ -258,7 +226,7 @@ def _images(folder: Path, camera: str) -> dict[str, Path]:
     return {id_: path for id_, path in images.items() if id_.isdecimal()}
 
 
-def read_calibration(date: Path, camera: str) -> Calibration:
+def read_calibration(date: Path, camera: str) -> RigCalibration:
     """Read a date's calibration files for one camera (image_00 .. image_03)."""
     path = date / "calib_cam_to_cam.txt"
     values = read_key_values(path)
@@ -269,7 +237,7 @@ def read_calibration(date: Path, camera: str) -> Calibration:
     R_rect = np.eye(4)
     R_rect[:3, :3] = need(values, "R_rect_00", 9, path).reshape(3, 3)
     T_cam_velo = _read_rigid(date / "calib_velo_to_cam.txt")
-    return Calibration(
+    return RigCalibration(
         camera=Camera(K, (int(height), int(width))),
         T_cam_cam0=T_cam_cam0,
         T_cam0_velo=None if T_cam_velo is None else R_rect @ T_cam_velo,
@@ -286,21 +254,3 @@ def _read_rigid(path: Path) -> Matrix | None:
     T_a_b[:3, :3] = need(values, "R", 9, path).reshape(3, 3)
     T_a_b[:3, 3] = need(values, "T", 3, path)
     return T_a_b
-
-
-def read_sweep_file(path: Path) -> npt.NDArray[np.float32]:
-    """Read a velodyne .bin (float32 x y z reflectance): (n, 3) metres, points that are not finite left out."""
-    try:
-        size = path.stat().st_size
-        data = np.fromfile(path, dtype="<f4")
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    if size % 16:
-        raise DataError(f"{path}: {size} bytes are not whole points of 16 bytes: truncated, download it again")
-    if size == 0:
-        raise DataError(f"{path}: empty sweep: download it again, or leave the frame out with --frames")
-    xyz_m = np.ascontiguousarray(data.reshape(-1, 4)[:, :3])
-    finite = np.isfinite(xyz_m).all(axis=1)
-    if not finite.any():
-        raise DataError(f"{path}: no finite point in the sweep: download it again")
-    return xyz_m if finite.all() else xyz_m[finite]

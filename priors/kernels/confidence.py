@@ -1,4 +1,4 @@
-"""A network's confidence in two passes over memory; the slow twins are in tests/test_nets_confidence.py."""
+"""Confidence of a stereo network in two passes over memory; the slow twins are in tests/test_nets_confidence.py."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,4 +1,4 @@
-"""Matching distributions in one pass over memory; the readable twin is nets/volume.expect in plain torch."""
+"""Matching distributions in one pass over memory; the readable twin is nets/cost_volume.expect in plain torch."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Numbers inside kernels: bfloat16, which numpy has not, as unsigned integers; an exponential that vectorises.
+"""bfloat16 inside kernels, as unsigned integers since numpy has no such type; and an exponential that vectorises.
 
 A kernel sees a float32 array as uint32 and a bfloat16 one as uint16: the upper half of a float32's bits.
 """

@@ -1,4 +1,4 @@
-"""Find the occlusions of a left view's disparity map and fill them from the background."""
+"""Occlusions of a left view's disparity map: found, and filled from the background."""
 
 import numpy as np
 import numpy.typing as npt

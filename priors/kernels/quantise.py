@@ -1,4 +1,4 @@
-"""Numbers to 8 bits, for convolutions of integers."""
+"""Quantisation of numbers to 8 bits, for convolutions of integers."""
 
 import numpy as np
 import numpy.typing as npt

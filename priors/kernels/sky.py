@@ -1,4 +1,4 @@
-"""Loops of the sky mask: block means of the image, growth along smooth paths, refinement at full resolution."""
+"""Sky mask: its loops. Block means of the image, growth along smooth paths, refinement at full resolution."""
 
 import numpy as np
 import numpy.typing as npt

@@ -1,4 +1,4 @@
-"""Move LiDAR points along the ego motion, one by one."""
+"""Untwisting (deskewing) of a LiDAR sweep: its points are moved along the ego motion, one by one."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""What is seen: past free space, not behind a nearer surface, not where stereo sees another.
+"""Visibility of LiDAR points: past free space, not behind a nearer surface, not where stereo sees another.
 
 Fused loops: over whole images, numpy's temporary arrays cost more than the arithmetic.
 """

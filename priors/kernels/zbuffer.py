@@ -1,4 +1,4 @@
-"""Splat LiDAR sweeps into a depth map, nearest surface first."""
+"""Z-buffer: LiDAR sweeps are splatted into a depth map, the nearest surface wins."""
 
 import numpy as np
 import numpy.typing as npt

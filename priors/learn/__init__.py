@@ -1,1 +1,1 @@
-"""How what is learned was learned: each file runs again from one command and rewrites a file in priors/weights."""
+"""Training: it made the files in priors/weights, and makes yours. Its command is `priors train`: docs/training.md."""

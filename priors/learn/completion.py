@@ -1,7 +1,8 @@
-"""What the completion network learns (`priors train completion`).
+"""Training of the completion network (`priors train completion runs/mffnet-s`).
 
-The network mends what `methods/completion.py` fills without learning. It sees crops of procedural streets (dense, exact
-truth) and of a real drive (points that it is not shown are the truth), through 64 to 8 scan lines or random points.
+The network corrects what `methods/completion.py` fills without learning. It sees crops of procedural streets, whose
+truth is dense and exact, and of real drives, where points that it is not shown are the truth. It is shown 64 to 8 scan
+lines, or random points.
 """
 
 from dataclasses import dataclass, field
@@ -12,15 +13,18 @@ import torch
 from torch import Tensor, nn
 
 from priors.adapt.augment import augment
-from priors.adapt.batch import Batch
+from priors.adapt.objective import masked_mean
+from priors.adapt.training_step import Batch
 from priors.draw.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
-from priors.learn import scans
-from priors.learn.accumulated import Drive
-from priors.learn.scans import Scene, Shown, Streets
-from priors.methods.completion import EVERYWHERE_PX, complete
+from priors.learn import lidar_scene
+from priors.learn.accumulated_lidar import AccumulatedDrives
+from priors.learn.lidar_dropout import CompletionExample, drop_points
+from priors.learn.lidar_scene import LidarScene
+from priors.learn.sample_folder import SampleFolder
+from priors.methods._completion_classical import EVERYWHERE_PX, complete
 from priors.nets.mffnet import Completed, Mffnet
-from priors.types import FloatMap, Image
+from priors.types import FloatMap, Image, Matrix
 
 CROP = (192, 448)
 VALIDATED = (1, 1, 4, 1)
@@ -29,6 +33,10 @@ RELATIVE = 20
 """Weight of the relative error against the absolute one in metres: equal at 20 m."""
 HUBER_M = 5.0
 """Errors beyond this count linearly: what neither image nor LiDAR tells must not drown the rest."""
+LEAST_WEIGHT = 0.1
+"""Of the truth that validation counts."""
+KNOWS_SCANNER = 0.7
+"""Share of the crops whose pre-fill knows where the scanner stood."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +58,17 @@ class CompletionConfig:
     validation: int = 10
     """Crops of streets validated on."""
 
+    def __post_init__(self) -> None:
+        if not 0 <= self.real_share <= 1:
+            raise DataError(f"training completion: real_share is {self.real_share}, expected 0 to 1")
+        if self.batch < 1 or self.validation < 1 or not self.squared >= 0:
+            given = f"{self.batch}, {self.validation} and {self.squared}"
+            raise DataError(f"training completion: expected batch, validation >= 1 and squared >= 0, found {given}")
+
 
 @dataclass
 class CompletionTask:
-    """Teaches MffNet to mend a filled map."""
+    """Teaches MffNet to correct a filled map; see loop.Task."""
 
     config: CompletionConfig
     net: nn.Module = field(init=False)
@@ -61,54 +76,53 @@ class CompletionTask:
     def __post_init__(self) -> None:
         torch.manual_seed(0)
         self.net = Mffnet(self.config.size)
-        self.streets = Streets(self.config.street)
-        self.drive = None if self.config.real is None else Drive(self.config.real)
-        self._held: dict[str, list[tuple[Shown, Batch]]] | None = None
+        self.samples = SampleFolder(self.config.street)
+        self.drives = None if self.config.real is None else AccumulatedDrives(self.config.real)
+        self._held_back: dict[str, list[tuple[CompletionExample, Batch]]] | None = None
 
     def batch(self, step: int, rng: np.random.Generator) -> Batch:
         """Make a batch of crops, their pre-fill and truth."""
         crops: list[Batch] = []
         while len(crops) < self.config.batch:
-            shown = scans.show(self._draw(rng), rng)
-            if np.any(shown.sparse_m > 0) and np.any(shown.weight > 0):
-                crops.append(prepare(shown, augment(shown.scene.image, rng), rng.random() < 0.7))
+            example = drop_points(self._draw_scene(rng), rng)
+            if np.any(example.sparse_m > 0) and np.any(example.weight > 0):
+                image = augment(example.scene.image, rng)
+                T_cam_lidar = example.scene.T_cam_lidar if rng.random() < KNOWS_SCANNER else None
+                crops.append(to_batch(example, image, T_cam_lidar))
         return {name: torch.cat([crop[name] for crop in crops]) for name in crops[0]}
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss of all three outputs and of the predicted scale."""
-        out: Completed = self.net(batch["image"], batch["fill_m"], batch["certain"], batch["sparse_m"])
+        out = _run(self.net, batch)
         truth_m, weight = batch["truth_m"].clamp_min(1e-3), batch["weight"]
-        total = weight.sum().clamp_min(1)
-
-        def mean(values: Tensor) -> Tensor:
-            return (weight * values).sum() / total
 
         def deviation(depth_m: Tensor) -> Tensor:
             error_m = (depth_m - truth_m).abs()
             inside = error_m.clamp_max(HUBER_M)
             squared = inside * inside + 2 * HUBER_M * (error_m - inside)
             ratio = (depth_m.log() - truth_m.log()).abs()
-            return mean(error_m + self.config.squared * squared + RELATIVE * ratio)
+            return masked_mean(error_m + self.config.squared * squared + RELATIVE * ratio, weight)
 
         fit = deviation(out.depth_m)
         parts = sum((deviation(depth_m) for depth_m in out.branches_m), torch.zeros(()))
         ratio = (out.depth_m.detach().log() - truth_m.log()).abs()
-        scale = mean(out.log_scale + ratio * torch.exp(-out.log_scale))
-        before = mean((batch["fill_m"] - truth_m).abs())
-        values = {"fit": fit, "scale": scale, "mae": mean((out.depth_m - truth_m).abs()), "fill_mae": before}
+        scale = masked_mean(out.log_scale + ratio * torch.exp(-out.log_scale), weight)
+        before = masked_mean((batch["fill_m"] - truth_m).abs(), weight)
+        mae = masked_mean((out.depth_m - truth_m).abs(), weight)
+        values = {"fit": fit, "scale": scale, "mae": mae, "fill_mae": before}
         return fit + 0.3 * parts + 0.1 * scale, {name: value.detach() for name, value in values.items()}
 
     def validate(self, net: nn.Module) -> dict[str, float]:
         """Return errors in metres beside those of the pre-fill; "error" is the mean ratio of the two."""
         values: dict[str, float] = {}
-        for name, pairs in self._validation().items():
+        for name, examples in self._validation().items():
             sums = np.zeros(8)
-            for _, batch in pairs:
+            for _, batch in examples:
                 with torch.autocast("cpu", torch.bfloat16):
-                    out: Completed = net(batch["image"], batch["fill_m"], batch["certain"], batch["sparse_m"])
-                known = batch["weight"] > 0.1
-                truth_m, fill_m = batch["truth_m"][known], batch["fill_m"][known]
-                error, before = (out.depth_m[known] - truth_m).abs(), (fill_m - truth_m).abs()
+                    out = _run(net, batch)
+                counts = batch["weight"] > LEAST_WEIGHT
+                truth_m, fill_m = batch["truth_m"][counts], batch["fill_m"][counts]
+                error, before = (out.depth_m[counts] - truth_m).abs(), (fill_m - truth_m).abs()
                 sums += [*_sums(error, truth_m), *_sums(before, truth_m)]
             ours, theirs = sums[1:4] / max(sums[0], 1), np.maximum(sums[5:] / max(sums[4], 1), 1e-9)
             ours[1], theirs[1] = np.sqrt(ours[1]), np.sqrt(theirs[1])
@@ -121,37 +135,44 @@ class CompletionTask:
     def pictures(self, net: nn.Module) -> dict[str, Image]:
         """Draw image, samples, pre-fill, result, and the error of both."""
         drawn = {}
-        for name, pairs in self._validation().items():
-            shown, batch = pairs[0]
+        for name, examples in self._validation().items():
+            example, batch = examples[0]
             with torch.autocast("cpu", torch.bfloat16):
-                out: Completed = net(batch["image"], batch["fill_m"], batch["certain"], batch["sparse_m"])
-            drawn[name] = draw(shown, batch["fill_m"][0].numpy(), out.depth_m[0].numpy())
+                out = _run(net, batch)
+            drawn[name] = draw(example, batch["fill_m"][0].numpy(), out.depth_m[0].numpy())
         return drawn
 
-    def _draw(self, rng: np.random.Generator) -> Scene:
-        """Draw a crop of a street or of the real drive, now and then mirrored, nearer or farther."""
-        if self.drive is not None and rng.random() < self.config.real_share:
-            scene = self.drive.train[rng.integers(len(self.drive.train))]
-            scene = scans.crop(scene, *_window(scene, rng, lowest=True), CROP)
+    def _draw_scene(self, rng: np.random.Generator) -> LidarScene:
+        """Draw a crop of a street or of a real drive, now and then mirrored, nearer or farther."""
+        if self.drives is not None and rng.random() < self.config.real_share:
+            scene = self.drives.train[rng.integers(len(self.drives.train))]
         else:
-            scene = Streets.read(self.streets.train[rng.integers(len(self.streets.train))])
-            scene = scans.crop(scene, *_window(scene, rng, lowest=False), CROP)
+            scene = lidar_scene.read_street(self.samples.train[rng.integers(len(self.samples.train))])
+        scene = lidar_scene.crop(scene, *_draw_corner(scene, rng), CROP)
         if rng.random() < 0.5:
-            scene = scans.flip(scene)
-        return scans.rescale(scene, float(np.exp(rng.normal(0, 0.2)))) if rng.random() < 0.25 else scene
+            scene = lidar_scene.flip(scene)
+        return lidar_scene.rescale(scene, float(np.exp(rng.normal(0, 0.2)))) if rng.random() < 0.25 else scene
 
-    def _validation(self) -> dict[str, list[tuple[Shown, Batch]]]:
-        if self._held is None:
-            paths = self.streets.validation
-            held = {"street": [Streets.read(path) for path in paths[:: max(1, len(paths) // self.config.validation)]]}
-            if self.drive is not None:
-                held["real"] = self.drive.validation
-            self._held = {}
-            for name, scenes in held.items():
-                rng = np.random.default_rng(7)
-                shown = [scans.show(scene, rng, VALIDATED[i % 4]) for i, scene in enumerate(scenes)]
-                self._held[name] = [(one, prepare(one, one.scene.image, True)) for one in shown]
-        return self._held
+    def _validation(self) -> dict[str, list[tuple[CompletionExample, Batch]]]:
+        if self._held_back is None:
+            paths = self.samples.validation
+            every = max(1, len(paths) // self.config.validation)
+            held_back = {"street": [lidar_scene.read_street(path) for path in paths[::every]]}
+            if self.drives is not None:
+                held_back["real"] = self.drives.validation
+            self._held_back = {name: _examples(scenes) for name, scenes in held_back.items()}
+        return self._held_back
+
+
+def _examples(scenes: list[LidarScene]) -> list[tuple[CompletionExample, Batch]]:
+    rng = np.random.default_rng(7)
+    examples = [drop_points(scene, rng, VALIDATED[i % len(VALIDATED)]) for i, scene in enumerate(scenes)]
+    return [(one, to_batch(one, one.scene.image, one.scene.T_cam_lidar)) for one in examples]
+
+
+def _run(net: nn.Module, batch: Batch) -> Completed:
+    completed: Completed = net(batch["image"], batch["fill_m"], batch["certain"], batch["sparse_m"])
+    return completed
 
 
 def _sums(error_m: Tensor, truth_m: Tensor) -> list[float]:
@@ -159,36 +180,43 @@ def _sums(error_m: Tensor, truth_m: Tensor) -> list[float]:
     return [float(len(error_m)), float(error_m.sum()), float((error_m**2).sum()), float((error_m / truth_m).sum())]
 
 
-def prepare(shown: Shown, image: Image, knows_scanner: bool) -> Batch:
-    """Fill the samples without learning and turn everything into tensors with a batch of 1."""
-    T_cam_lidar = shown.scene.T_cam_lidar if knows_scanner else None
-    fill = complete(shown.sparse_m, image, shown.scene.camera, T_cam_lidar, reach_px=EVERYWHERE_PX)
+def to_batch(example: CompletionExample, image: Image, T_cam_lidar: Matrix | None) -> Batch:
+    """Fill the samples without learning and turn everything into tensors with a batch of 1.
+
+    Args:
+        example: what is shown and the truth.
+        image: (h, w, 3), the scene's or an augmented one.
+        T_cam_lidar: where the scanner stood, for the pre-fill; None: it does not know.
+    """
+    fill = complete(example.sparse_m, image, example.scene.camera, T_cam_lidar, reach_px=EVERYWHERE_PX)
+    if fill.confidence is None:
+        raise ValueError("complete() gives a confidence with every map")
     maps = {
         "fill_m": fill.depth_m,
         "certain": fill.confidence,
-        "sparse_m": shown.sparse_m,
-        "truth_m": shown.truth_m,
-        "weight": shown.weight,
+        "sparse_m": example.sparse_m,
+        "truth_m": example.truth_m,
+        "weight": example.weight,
     }
     batch = {name: torch.from_numpy(np.ascontiguousarray(values))[None] for name, values in maps.items()}
     return {"image": torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255, **batch}
 
 
-def draw(shown: Shown, fill_m: FloatMap, depth_m: FloatMap) -> Image:
+def draw(example: CompletionExample, fill_m: FloatMap, depth_m: FloatMap) -> Image:
     """Return a picture: image and samples, pre-fill and result, the error of both."""
-    truth_m = np.where(shown.weight > 0.1, shown.truth_m, np.float32(0))
+    truth_m = np.where(example.weight > LEAST_WEIGHT, example.truth_m, np.float32(0))
     rows = [
-        (shown.scene.image, thicken(colour_depth(shown.sparse_m))),
+        (example.scene.image, thicken(colour_depth(example.sparse_m))),
         (colour_depth(fill_m), colour_depth(depth_m)),
         (thicken(colour_error(fill_m, truth_m)), thicken(colour_error(depth_m, truth_m))),
     ]
     return np.concatenate([np.concatenate(row, axis=1) for row in rows])
 
 
-def _window(scene: Scene, rng: np.random.Generator, lowest: bool) -> tuple[int, int]:
+def _draw_corner(scene: LidarScene, rng: np.random.Generator) -> tuple[int, int]:
     """Draw where a crop starts (row, column); real LiDAR leaves the upper third of the image empty."""
     height, width = scene.camera.size
     if height < CROP[0] or width < CROP[1]:
         raise DataError(f"completion: scenes of {width}x{height} are smaller than the crop {CROP[1]}x{CROP[0]}")
-    top = rng.integers((height - CROP[0]) // 2 if lowest else 0, height - CROP[0] + 1)
+    top = rng.integers((height - CROP[0]) // 2 if scene.real else 0, height - CROP[0] + 1)
     return int(top), int(rng.integers(width - CROP[1] + 1))

@@ -1,6 +1,9 @@
 """How a network is trained: flags of the command line, and the record of a run."""
 
+import math
 from dataclasses import dataclass
+
+from priors.errors import DataError
 
 
 @dataclass(frozen=True)
@@ -28,4 +31,21 @@ class TrainConfig:
     seed: int = 0
     """Decides the batches."""
     threads: int | None = None
-    """CPU threads of torch; default: torch's choice."""
+    """CPU threads; default: as many as PyTorch is set to."""
+
+    def __post_init__(self) -> None:
+        for name in ("minutes", "lr", "clip"):
+            _check(name, getattr(self, name), "above 0", 0 < getattr(self, name) < math.inf)
+        for name in ("weight_decay", "save_s"):
+            _check(name, getattr(self, name), "0 or more", getattr(self, name) >= 0)
+        for name in ("warm_up", "seed"):
+            _check(name, getattr(self, name), "0 or more", getattr(self, name) >= 0)
+        _check("validate_every", self.validate_every, "1 or more", self.validate_every >= 1)
+        _check("ema", self.ema, "from 0 to below 1", 0 <= self.ema < 1)
+        _check("steps", self.steps, "1 or more", self.steps is None or self.steps >= 1)
+        _check("threads", self.threads, "1 or more", self.threads is None or self.threads >= 1)
+
+
+def _check(name: str, value: object, expected: str, holds: bool) -> None:
+    if not holds:
+        raise DataError(f"training: --{name.replace('_', '-')} is {value}, expected {expected}")

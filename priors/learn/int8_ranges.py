@@ -1,8 +1,8 @@
-"""Calibrate a stereo network for 8-bit integers (post-training quantisation): measure its convolutions' input ranges.
+"""Post-training quantisation of a stereo network to 8-bit integers: measures the ranges of its convolutions' inputs.
 
     python -m priors.learn.int8_ranges --net cfnet --data KITTI/odometry/sequences/06 street/ --every 10
 
-writes FILE.int8.json beside the weights: in which range the inputs of the large 2D convolutions lie, on drives that
+It writes FILE.int8.json beside the weights: in which range the inputs of the large 2D convolutions lie, on drives that
 trained the network.
 """
 
@@ -17,50 +17,57 @@ from torch import Tensor, nn
 
 from priors import codecs
 from priors.drives import open_drive
+from priors.errors import DataError
 from priors.nets import weights
-from priors.nets.int8 import Range, beside, candidates
+from priors.nets.int8 import ActivationRange, beside, candidates
 from priors.nets.runtime import as_input, open_net
 
 TAIL = 1e-5
 """Share of the values that may lie beyond a range, on either side."""
+SAMPLED = 2_000_000
+"""Values of an input that are looked at, about: torch.quantile takes no more than 16 million."""
+LARGEST_PX = 192
+"""Disparities searched."""
 
 
 @contextmanager
-def watched(net: nn.Module) -> Iterator[dict[str, Range]]:
+def watched(net: nn.Module) -> Iterator[dict[str, ActivationRange]]:
     """Widen the ranges of the candidates' inputs by what runs through a plain network inside."""
-    found: dict[str, Range] = {}
+    ranges: dict[str, ActivationRange] = {}
 
-    def look(name: str) -> Any:
+    def widen(name: str) -> Any:
         def hook(layer: nn.Module, inputs: tuple[Tensor, ...]) -> None:
-            some = inputs[0].float().flatten()[:: max(1, inputs[0].numel() // 2_000_000)]
+            some = inputs[0].float().flatten()[:: max(1, inputs[0].numel() // SAMPLED)]
             low, high = (float(torch.quantile(some, share)) for share in (TAIL, 1 - TAIL))
-            before = found.get(name, Range(0, 0))
-            found[name] = Range(min(before.low, low), max(before.high, high))
+            before = ranges.get(name, ActivationRange(0, 0))
+            ranges[name] = ActivationRange(min(before.low, low), max(before.high, high))
 
         return hook
 
-    hooks = [layer.register_forward_pre_hook(look(name)) for name, layer in candidates(net).items()]
+    hooks = [layer.register_forward_pre_hook(widen(name)) for name, layer in candidates(net).items()]
     try:
-        yield found
+        yield ranges
     finally:
         for hook in hooks:
             hook.remove()
 
 
-def measure(net: str, size: str, pairs: Iterable[tuple[Tensor, Tensor]], file: Path | None = None) -> dict[str, Range]:
+def measure(
+    net: str, size: str, pairs: Iterable[tuple[Tensor, Tensor]], file: Path | None = None
+) -> dict[str, ActivationRange]:
     """Return the ranges on pairs (1, 3, h, w) in [0, 1]."""
     ready = open_net(net, size, "onnx", file)  # plain, float32
-    with watched(ready.net) as found:
+    with watched(ready.net) as ranges:
         for left, right in pairs:
-            ready(left, right, largest_px=192)
-    return found
+            ready(left, right, largest_px=LARGEST_PX)
+    return ranges
 
 
-def main() -> None:
-    """Measure and write ranges."""
+def main(arguments: list[str] | None = None) -> None:
+    """Measure and write ranges; takes the command line's arguments."""
     import tyro
 
-    tyro.cli(calibrate, description=__doc__)
+    tyro.cli(calibrate, args=arguments, description=__doc__)
 
 
 def calibrate(
@@ -79,6 +86,8 @@ def calibrate(
         size: s, m or l.
         weights_file: your own weights; default: what ships.
     """
+    if every < 1:
+        raise DataError(f"--every is {every}, expected 1 or more")
     path = weights.find(net, size, weights_file)
     drives = [open_drive(folder) for folder in data]
     frames = [drive[k] for drive in drives for k in range(0, len(drive), every)]
@@ -95,4 +104,7 @@ def calibrate(
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except DataError as error:
+        raise SystemExit(str(error)) from None

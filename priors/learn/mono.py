@@ -1,7 +1,9 @@
-"""Train depth from one image: priors train mono RUN --street samples/ --real DATA --size m --batch 4.
+"""Training of depth from one image.
 
-From procedural streets (dense, exact), a KITTI drive's LiDAR (sparse) and grey KITTI odometry pairs whose depth our
-classical matcher is sure of (computed once, cached in RUN).
+    priors train mono runs/bts-m --street samples/ --real DATA --size m --batch 4
+
+It learns from procedural streets (dense, exact), a KITTI drive's LiDAR (sparse) and grey KITTI odometry pairs whose
+depth our classical matcher is sure of (computed once, cached in the run's folder).
 """
 
 from collections.abc import Iterator
@@ -13,15 +15,16 @@ import torch
 from torch import Tensor, nn
 
 from priors import build, drives
-from priors.adapt.batch import Batch
 from priors.adapt.objective import loss, predict
-from priors.adapt.views import SKY, SURFACE, UNKNOWN, View, collate, cut, label_sky, repaint
+from priors.adapt.training_step import Batch
+from priors.adapt.views import SKY, SURFACE, UNKNOWN, LabelledView, augment_view, collate, label_sky
+from priors.adapt.windows import random_crop
 from priors.codecs import as_rgb
 from priors.draw.colours import colour_depth, thicken
 from priors.drives import DriveOptions
-from priors.filters import Filters
-from priors.learn import sample as samples
-from priors.learn.scans import Streets
+from priors.errors import DataError
+from priors.learn import pair_file
+from priors.learn.sample_folder import SampleFolder
 from priors.methods._reference import trusted
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
@@ -30,6 +33,10 @@ from priors.nets.mobile import Mobile
 from priors.types import Image
 
 CROP, ZOOM = (256, 512), (0.65, 1.5)
+VALIDATED = 12
+"""Rendered samples validated on, about."""
+SCORED_M = 80.0
+"""Validation looks at depth below this."""
 HELD_OUT = {"sfnd": 4, "06": 6, "01": 6}
 """Last frames of each real drive: for validation."""
 OFFSETS_PX = {"06": (0.0, 0.0, 1.4), "01": (0.0, 0.0, 2.4)}
@@ -55,6 +62,11 @@ class MonoConfig:
     imagenet: bool = True
     """Start size m from the ImageNet weights of the package that mobile.IMAGENET names."""
 
+    def __post_init__(self) -> None:
+        if self.batch < 1 or not 0 <= self.real_share <= 1:
+            given = f"{self.batch} and {self.real_share}"
+            raise DataError(f"training mono: expected batch >= 1 and real_share from 0 to 1, found {given}")
+
 
 @dataclass
 class MonoTask:
@@ -68,20 +80,21 @@ class MonoTask:
         net = self.net = bts.Bts(self.config.size)
         if self.config.imagenet and isinstance(net.trunk, Mobile):
             net.trunk.take_imagenet()
-        self._streets = Streets(self.config.street)
-        validation = self._streets.validation
-        self._held = [read_street(path) for path in validation[:: max(1, len(validation) // 12)]]
-        self._real: dict[str, list[View]] = {}
+        self._samples = SampleFolder(self.config.street)
+        validation = self._samples.validation
+        self._held_out = [read_street(path) for path in validation[:: max(1, len(validation) // VALIDATED)]]
+        self._real: dict[str, list[LabelledView]] = {}
         for view in read_real(self.config.data, self.config.cache) if self.config.data else ():
             self._real.setdefault(view.source, []).append(view)
         for source, count in HELD_OUT.items():
-            self._held += self._real.get(source, [])[-count:]
+            self._held_out += self._real.get(source, [])[-count:]
             self._real[source] = self._real.get(source, [])[:-count]
         self._real = {source: views for source, views in self._real.items() if views}
 
     def batch(self, step: int, rng: np.random.Generator) -> Batch:
         """Make a batch of crops."""
-        return collate([repaint(cut(self._draw(rng), rng, CROP, ZOOM), rng) for _ in range(self.config.batch)])
+        crops = (random_crop(self._draw_view(rng), rng, CROP, ZOOM) for _ in range(self.config.batch))
+        return collate([augment_view(crop, rng) for crop in crops])
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss and its parts."""
@@ -89,18 +102,19 @@ class MonoTask:
 
     def validate(self, net: nn.Module) -> dict[str, float]:
         """Return AbsRel, RMSE and the sky's IoU by source; "error" is the mean AbsRel over sources."""
-        found: dict[str, list[list[float]]] = {}
-        for view in self._held:
-            out = predict(net, view)
-            known = (view.depth_m > 0) & (view.depth_m < 80)
-            error_m = out.depth_m[0].numpy()[known] - view.depth_m[known]
+        by_source: dict[str, list[list[float]]] = {}
+        for view in self._held_out:
+            out = predict(net, view.image, view.camera)
+            scored = (view.depth_m > 0) & (view.depth_m < SCORED_M)
+            truth_m = view.depth_m[scored]
+            error_m = out.depth_m[0].numpy()[scored] - truth_m
             sky, is_sky = out.sky_logit[0].numpy() > 0, view.sky == SKY
             sky &= view.sky != UNKNOWN
             iou = np.sum(sky & is_sky) / max(1, np.sum(sky | is_sky)) if is_sky.any() else np.nan
-            row = [np.mean(np.abs(error_m) / view.depth_m[known]), np.sqrt(np.mean(error_m**2)), iou]
-            found.setdefault(view.source, []).append([float(value) for value in row])
+            row = [np.mean(np.abs(error_m) / truth_m), np.sqrt(np.mean(error_m**2)), iou]
+            by_source.setdefault(view.source, []).append([float(value) for value in row])
         result: dict[str, float] = {}
-        for source, rows in found.items():
+        for source, rows in by_source.items():
             for index, name in enumerate(("abs_rel", "rmse", "sky_iou")):
                 values = [row[index] for row in rows if np.isfinite(row[index])]
                 result[f"{source} {name}"] = float(np.mean(values)) if values else 0.0
@@ -109,43 +123,45 @@ class MonoTask:
     def pictures(self, net: nn.Module) -> dict[str, Image]:
         """Draw image, truth and result of a view of each source."""
         drawn: dict[str, Image] = {}
-        for view in self._held:
+        for view in self._held_out:
             if view.source not in drawn:
-                out = predict(net, view)
+                out = predict(net, view.image, view.camera)
                 depth_m = np.where(out.sky_logit[0].numpy() > 0, np.float32(0), out.depth_m[0].numpy())
                 rows = [as_rgb(view.image), thicken(colour_depth(view.depth_m)), colour_depth(depth_m)]
                 drawn[view.source] = np.concatenate(rows)
         return drawn
 
-    def _draw(self, rng: np.random.Generator) -> View:
+    def _draw_view(self, rng: np.random.Generator) -> LabelledView:
         if self._real and rng.random() < self.config.real_share:
             views = self._real[sorted(self._real)[rng.integers(len(self._real))]]
             return views[rng.integers(len(views))]
-        return read_street(self._streets.train[rng.integers(len(self._streets.train))])
+        return read_street(self._samples.train[rng.integers(len(self._samples.train))])
 
 
-def read_street(path: Path) -> View:
-    """Read a rendered sample as a view."""
-    found = samples.read(path)
-    return View(found.left, found.camera, found.depth_m, np.where(found.sky, SKY, SURFACE).astype(np.int8), "street")
+def read_street(path: Path) -> LabelledView:
+    """Read a rendered sample as a view; DataError where it is none."""
+    pair = pair_file.read(path)
+    if pair.sensors is None:
+        raise DataError(f"{path}: a training pair without a camera: mono learns from rendered samples only")
+    sky = np.where(pair.sky, SKY, SURFACE).astype(np.int8)
+    return LabelledView(pair.left, pair.sensors.camera, pair.depth_m, sky, "street")
 
 
-def read_real(data: Path, cache: Path) -> Iterator[View]:
+def read_real(data: Path, cache: Path) -> Iterator[LabelledView]:
     """Read the training drives: LiDAR of the slow colour drive, confident stereo of the grey odometry runs."""
     lidar, folder = Lidar(sweeps=1), data / "kitti_raw_train" / "2011_09_26" / "2011_09_26_drive_sfnd_sync"
     slow = drives.open_drive(folder) if folder.is_dir() else ()
     for index in range(len(slow)):
         frame = slow[index]
         image, depth_m = frame.image(), lidar(frame).depth_m
-        yield View(image, frame.camera, depth_m, label_sky(image, depth_m), "sfnd")
+        yield LabelledView(image, frame.camera, depth_m, label_sky(image, depth_m), "sfnd")
     for sequence, offset_px in OFFSETS_PX.items() if (data / "kitti_odometry").is_dir() else ():
         drive = drives.open_drive(data / "kitti_odometry", options=DriveOptions(drive=sequence))
-        prior, method = build.prepare(drive, "stereo", Stereo(offset_px=offset_px), Filters(), cache)
-        build.build(drive, prior, method, Filters(), build.plan(drive, prior, method.reads, build.Selection()))
+        prior = build.prepare(drive, Stereo(offset_px=offset_px), folder=cache).run().prior
         for index, id_ in enumerate(drive.ids):
             frame = drive[index]
             image, depth = frame.image(), prior.read(id_)
             depth_m = trusted(depth, image)
             sky = label_sky(image, depth_m)
             sky[(trusted(depth) > 0) & (depth_m == 0)] = UNKNOWN  # matched sky, or a bright wall taken for sky
-            yield View(image, frame.camera, depth_m, sky, sequence)
+            yield LabelledView(image, frame.camera, depth_m, sky, sequence)

@@ -1,4 +1,4 @@
-"""Labelled images for fitting the sky mask, by the place they come from.
+"""Sky labels: images with labels for training the sky mask, by the place they come from.
 
 CamVid has labels, the street knows its sky; for a few KITTI frames (training drives only) a polygon drawn by hand says
 where the sky may be and a rule on brightness which of its pixels are sky.
@@ -20,7 +20,7 @@ CAMVID_SKY, CAMVID_VOID = 0, 11
 
 
 @dataclass(frozen=True)
-class Sample:
+class SkySample:
     """An image and what is sky in it."""
 
     place: str
@@ -89,28 +89,28 @@ SLOW_OUTLINES = (
 """Frame's place in the slow drive and its polygon: overexposed sky, white trucks beside it."""
 
 
-def read_camvid(folder: Path, split: str) -> Iterator[Sample]:
+def read_camvid(folder: Path, split: str) -> Iterator[SkySample]:
     """Read CamVid's frames of a split (train, val); the place is the sequence."""
     for path in sorted((folder / split).glob("*.jpg")):
         codes = read_image(folder / f"{split}annot" / f"{path.stem}.png")
         label = np.where(codes == CAMVID_SKY, SKY, np.where(codes == CAMVID_VOID, UNKNOWN, REST))
-        yield Sample(path.stem[:4], read_image(path), label.astype(np.float32))
+        yield SkySample(path.stem[:4], read_image(path), label.astype(np.float32))
 
 
-def read_street(folder: Path, step: int = 3) -> Iterator[Sample]:
+def read_street(folder: Path, step: int = 3) -> Iterator[SkySample]:
     """Read every step-th frame of a street that `priors street` wrote."""
     for mask in sorted(folder.glob("**/sky/image_02/data/*.png"))[::step]:
         image = mask.parents[3] / "image_02" / "data" / mask.name
-        yield Sample("street", read_image(image), (read_image(mask) > 127).astype(np.float32))
+        yield SkySample("street", read_image(image), (read_image(mask) > 127).astype(np.float32))
 
 
-def read_kitti(data: Path) -> Iterator[Sample]:
+def read_kitti(data: Path) -> Iterator[SkySample]:
     """Read the outlined KITTI frames."""
     slow = sorted((data / _SLOW).iterdir())
     boxes = [Outline(str(slow[n].relative_to(data)), polygon, 225) for n, polygon in SLOW_OUTLINES]
     for outline in (*OUTLINES, *boxes):
         image = read_image(data / outline.path)
-        yield Sample(Path(outline.path).parents[1].name, image, label_outline(image, outline))
+        yield SkySample(Path(outline.path).parents[1].name, image, label_outline(image, outline))
 
 
 def label_outline(image: Image, outline: Outline) -> FloatMap:

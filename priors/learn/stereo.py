@@ -1,27 +1,28 @@
-"""Train a stereo network: from the street's pairs, from pairs made of single real images, from real pairs with labels.
+"""Training of a stereo network: on the street's pairs, on pairs made of single real images, on real pairs with labels.
 
-    priors train stereo --street samples/ --out runs/cfnet-s          stops and goes on at any time
+    priors train stereo runs/cfnet-s --street samples/          stops and goes on at any time
 
 The loss: absolute error of every stage's disparity, cross-entropy of every stage's matching distribution (so that its
 spread is what the error is: the next stage's range and the confidence rest on it), and of the confidence.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors.adapt.batch import Batch
 from priors.adapt.objective import masked_mean
+from priors.adapt.training_step import Batch
+from priors.adapt.views import to_tensor
+from priors.codecs import as_rgb
 from priors.draw.colours import colour_depth
-from priors.learn.data import collate
-from priors.learn.pair import Item
-from priors.nets.outputs import Matched, StereoOut
-from priors.types import Image
+from priors.learn.stereo_data import Draw, collate
+from priors.learn.stereo_pair import StereoPair
+from priors.nets.stereo_output import Matched, StereoOut
+from priors.types import FloatMap, Image
 
 LARGEST_PX = 192
 SHARP_PX = 0.25
@@ -40,13 +41,20 @@ class StereoTask:
     def __init__(
         self,
         net: nn.Module,
-        draw: Callable[[np.random.Generator], Item],
-        held_back: Sequence[Item] = (),
+        draw: Draw,
+        held_back: Sequence[StereoPair] = (),
         size: int = 2,
         schedule: tuple[int, int] = SCHEDULE,
     ) -> None:
-        """Take a network, what draws a training item, items to validate on, how many items make a batch, and the
-        steps at which the second and the third stage join."""
+        """Make a task.
+
+        Args:
+            net: the network.
+            draw: draws a training pair.
+            held_back: pairs to validate on.
+            size: how many pairs make a batch.
+            schedule: the steps at which the second and the third stage join.
+        """
         self.net, self._draw, self._held_back, self._size = net, draw, held_back, size
         self._schedule = schedule
 
@@ -78,42 +86,41 @@ class StereoTask:
 
     def validate(self, net: nn.Module) -> dict[str, float]:
         """Return EPE, D1 and the share above 1 px by source, without sky; "error" is the mean EPE, each at most 5."""
-        found: dict[str, list[tuple[float, float, float]]] = {}
-        for item in self._held_back:
-            error, truth = predict(net, item)[0] - item["disparity_px"], item["disparity_px"]
-            sure = item["known"] & ~item["sky"] & (item["weight"] > 0) & (truth < LARGEST_PX)
+        by_source: dict[str, list[tuple[float, float, float]]] = {}
+        for pair in self._held_back:
+            error, truth = predict(net, pair)[0] - pair.disparity_px, pair.disparity_px
+            sure = pair.known & ~pair.sky & (truth < LARGEST_PX)
             error, truth = np.abs(error[sure]), truth[sure]
             wrong = (error > 3) & (error > 0.05 * truth)
-            found.setdefault(item["source"], []).append((error.mean(), wrong.mean(), (error > 1).mean()))
+            by_source.setdefault(pair.source, []).append((error.mean(), wrong.mean(), (error > 1).mean()))
         result: dict[str, float] = {}
-        for source, rows in found.items():
+        for source, rows in by_source.items():
             values = np.mean(rows, axis=0)
             result.update({f"{source} {name}": float(v) for name, v in zip(("epe", "d1", "bad1"), values, strict=True)})
         epes = [min(5.0, value) for name, value in result.items() if name.endswith("epe")]
         return {"error": float(np.mean(epes)) if epes else 0.0, **result}
 
     def pictures(self, net: nn.Module) -> dict[str, Image]:
-        """Draw left image, disparity and confidence of an item of each source."""
+        """Draw left image, truth, disparity and confidence of a pair of each source."""
         shown: dict[str, Image] = {}
-        for item in self._held_back:
-            if item["source"] in shown:
+        for pair in self._held_back:
+            if pair.source in shown:
                 continue
-            disparity, doubt = predict(net, item)
-            left = (item["left"].transpose(1, 2, 0) * 255).astype(np.uint8)
+            disparity, doubt = predict(net, pair)
             sure = cv2.cvtColor((255 / (1 + np.exp(doubt))).astype(np.uint8), cv2.COLOR_GRAY2RGB)
             coloured = colour_depth((400 / np.maximum(disparity, 0.5)).astype(np.float32), 4.0, 100.0)
-            truth_m = np.where(item["known"], 400 / np.maximum(item["disparity_px"], 0.5), 0).astype(np.float32)
+            truth_m = np.where(pair.known, 400 / np.maximum(pair.disparity_px, 0.5), 0).astype(np.float32)
             truth = colour_depth(truth_m, 4.0, 100.0)
-            shown[item["source"]] = np.concatenate([left, truth, coloured, sure])
+            shown[pair.source] = np.concatenate([as_rgb(pair.left), truth, coloured, sure])
         return shown
 
 
-def predict(net: nn.Module, item: Item) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-    """Return disparity and doubt (h, w) of one item."""
+def predict(net: nn.Module, pair: StereoPair) -> tuple[FloatMap, FloatMap]:
+    """Return disparity and doubt (h, w) of one pair."""
     device = next(net.parameters()).device
-    pair = [torch.from_numpy(np.ascontiguousarray(item[side]))[None].to(device) for side in ("left", "right")]
+    views = [to_tensor([view]).to(device) for view in (pair.left, pair.right)]
     with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16):
-        out: StereoOut = net(*pair, LARGEST_PX)
+        out: StereoOut = net(*views, LARGEST_PX)
     return out.disparity_px[0].float().cpu().numpy(), out.doubt[0].float().cpu().numpy()
 
 

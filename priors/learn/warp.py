@@ -1,4 +1,4 @@
-"""Stereo pairs made of single real images: a plausible disparity map, and the right view that it makes.
+"""Warped pairs: stereo pairs made of single real images by a plausible disparity map.
 
 The idea of Watson et al., "Learning Stereo from Single Images" (ECCV 2020): the real image is the left view, its pixels
 move by the disparities into the right one, nearer ones hide farther ones, and what no pixel moves to is filled from
@@ -6,18 +6,15 @@ another image. The disparities need not be right for the image: they are the tru
 """
 
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import cv2
 import numpy as np
 
-from priors import codecs
-from priors.learn.pair import Pair, flip, mirror
+from priors.learn.stereo_pair import StereoPair, flip, mirror
 from priors.types import FloatMap, Image, Mask
 
 STEP_PX = 0.8
 """Neighbours whose disparities differ by more are of different surfaces."""
-PER_PX = 256
 ROOM = 1.15, 96
 """The part of an image that is warped: so many times the crop's size, and so much wider for what moves out of it."""
 SCALES = 0.5, 1.7
@@ -30,7 +27,7 @@ FLYING_PX = 3.0
 
 
 @dataclass(frozen=True, slots=True)
-class Scene:
+class DisparityImage:
     """A real image and disparities that it might have."""
 
     image: Image
@@ -40,15 +37,15 @@ class Scene:
     sky: Mask
 
 
-def draw(scene: Scene, filler: Image, rng: np.random.Generator, crop: tuple[int, int]) -> Pair:
+def draw_pair(scene: DisparityImage, filler: Image, rng: np.random.Generator, crop: tuple[int, int]) -> StereoPair:
     """Make a pair of part of a scene: larger than the crop that will be cut out of it."""
     scene = _window(scene, rng, crop)
     if rng.random() < 0.5:
-        scene = Scene(flip(scene.image), flip(scene.disparity_px), flip(scene.sky))
-    return warp(replace(scene, disparity_px=change(scene.disparity_px, rng)), filler, swap=rng.random() < 0.5)
+        scene = DisparityImage(flip(scene.image), flip(scene.disparity_px), flip(scene.sky))
+    return warp(replace(scene, disparity_px=bend(scene.disparity_px, rng)), filler, swap=rng.random() < 0.5)
 
 
-def warp(scene: Scene, filler: Image, swap: bool = False) -> Pair:
+def warp(scene: DisparityImage, filler: Image, swap: bool = False) -> StereoPair:
     """Make the pair of which the scene is the left view (h, w); every disparity is known.
 
     Args:
@@ -57,22 +54,15 @@ def warp(scene: Scene, filler: Image, swap: bool = False) -> Pair:
         swap: exchange the views in the mirror, so that the real image becomes the right one; what it does not see has
             no known disparity then.
     """
-    from priors.kernels import pairs as kernels
+    from priors.kernels import disparity_warp as kernels
 
     column, seen_px = kernels.see_right(scene.disparity_px, STEP_PX)
     image = scene.image if scene.image.ndim == 3 else scene.image[..., None]
     right = _match_colours(filler, scene.image).reshape(image.shape)
     kernels.paint(np.ascontiguousarray(image), column, seen_px, STEP_PX, right)
-    known = np.ones(scene.sky.shape, np.bool_)
-    pair = Pair(
-        scene.image,
-        right.reshape(scene.image.shape),
-        scene.disparity_px,
-        known,
-        scene.sky,
-        known.astype(np.float32),
-        "warped",
-    )
+    everywhere = np.ones(scene.sky.shape, np.float32)
+    right = right.reshape(scene.image.shape)
+    pair = StereoPair(scene.image, right, scene.disparity_px, scene.sky, everywhere, "warped")
     if not swap:
         return pair
     seen = seen_px >= 0
@@ -81,7 +71,7 @@ def warp(scene: Scene, filler: Image, swap: bool = False) -> Pair:
     return mirror(pair, seen_px, seen, right_sky)
 
 
-def change(disparity_px: FloatMap, rng: np.random.Generator) -> FloatMap:
+def bend(disparity_px: FloatMap, rng: np.random.Generator) -> FloatMap:
     """Scale and bend the disparities (h, w); those of 0 stay."""
     largest = max(float(disparity_px[::8, ::8].max()), 1.0)
     scale = min(float(np.exp(rng.uniform(*np.log(SCALES)))), LARGEST_PX / largest)
@@ -108,39 +98,12 @@ def fill_nearest(values: FloatMap, valid: Mask) -> FloatMap:
     return table[labels]
 
 
-def write(path: Path, scene: Scene) -> None:
-    """Write a scene to one .npz file, atomically."""
-    maps: dict[str, np.ndarray] = {
-        "image": scene.image,
-        "disparity": np.minimum(np.rint(scene.disparity_px * PER_PX), 65535).astype(np.uint16),
-        "sky": scene.sky,
-    }
-
-    def save(target: Path) -> None:
-        with target.open("wb") as file:
-            np.savez(file, allow_pickle=False, **maps)
-
-    codecs.write_atomically(path, save)
-
-
-def read(path: Path) -> Scene:
-    """Read a scene."""
-    with np.load(path) as file:
-        return Scene(file["image"], (file["disparity"] / np.float32(PER_PX)).astype(np.float32), file["sky"])
-
-
-def read_image(path: Path) -> Image:
-    """Read a scene's image only."""
-    with np.load(path) as file:
-        return np.asarray(file["image"])
-
-
-def _window(scene: Scene, rng: np.random.Generator, crop: tuple[int, int]) -> Scene:
+def _window(scene: DisparityImage, rng: np.random.Generator, crop: tuple[int, int]) -> DisparityImage:
     height, width = scene.sky.shape
     wanted = min(height, int(ROOM[0] * crop[0])), min(width, int(ROOM[0] * crop[1]) + ROOM[1])
     top, left = int(rng.integers(height - wanted[0] + 1)), int(rng.integers(width - wanted[1] + 1))
     window = slice(top, top + wanted[0]), slice(left, left + wanted[1])
-    return Scene(scene.image[window], scene.disparity_px[window], scene.sky[window])
+    return DisparityImage(scene.image[window], scene.disparity_px[window], scene.sky[window])
 
 
 def _match_colours(filler: Image, image: Image) -> Image:

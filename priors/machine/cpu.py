@@ -74,6 +74,8 @@ _NEEDS: dict[Mode, tuple[str, ...]] = {
 def hold_down() -> None:
     """Set what the libraries listen to, where the user named a mode and did not set it; before they load.
 
+    The commands call it first of all; a program of one's own that is to be held down does the same.
+
     A library that was imported before us is not held down; our own kernels always are. A wrong name is told by `mode`.
     """
     held = _HELD.get(cast(Mode, os.environ.get(VARIABLE, "")), {}) if _is_x86() else {}

@@ -1,6 +1,6 @@
-"""Completion by a network: it mends what the classical method fills, with the image and the samples before it."""
+"""Completion by a network: it corrects what the classical method fills, with the image and the samples before it."""
 
-from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -8,30 +8,29 @@ import torch
 from torch import Tensor
 
 from priors.codecs import as_rgb
-from priors.nets import runtime
-from priors.nets.graphs import Portable, open_portable
-from priors.nets.runtime import Ready, Runtime
 from priors.nets.trunk import MULTIPLE
 from priors.types import Depth, FloatMap, Image, Mask
+
+if TYPE_CHECKING:  # onnxruntime's half is loaded where it is asked for
+    from priors.nets.graphs import Portable
+    from priors.nets.runtime import Ready
 
 WITHIN = 0.05
 """The confidence is the probability that the depth is right within this share of it."""
 
 
-def open_network(size: str, chosen: Runtime, file: Path | None) -> Ready | Portable:
-    """Load the network, once a process; DataError where its weights are missing or damaged."""
-    if chosen == "onnx":
-        return open_portable("mffnet", size, file)
-    return runtime.open_net("mffnet", size, chosen, file)
-
-
-def mend(
-    ready: Ready | Portable, fill: Depth, sparse_m: FloatMap, image: Image, near: Mask, limits_m: tuple[float, float]
+def correct(
+    net: "Ready | Portable",
+    fill: Depth,
+    sparse_m: FloatMap,
+    image: Image,
+    near: Mask,
+    limits_m: tuple[float, float],
 ) -> Depth:
     """Correct a filled map (height, width).
 
     Args:
-        ready: the network.
+        net: the network.
         fill: metres, a value everywhere, with confidence.
         sparse_m: the samples it was filled from, metres, 0 = none; at least one.
         image: (height, width, 3) RGB or (height, width) grey, uint8.
@@ -41,19 +40,17 @@ def mend(
     Returns:
         depth_m, and the confidence: the probability that it is right within 5 %; both 0 where no value is wanted.
     """
-    assert fill.confidence is not None
     rows = span(near)
-    colour = as_rgb(image[rows])
-    kind = torch.bfloat16 if ready.runtime == "bf16" else torch.float32
-    seen = torch.from_numpy(_pad(colour)).permute(2, 0, 1)[None].to(kind) / 255
+    kind = torch.bfloat16 if net.runtime == "bf16" else torch.float32
+    colour = torch.from_numpy(_pad(as_rgb(image[rows]))).permute(2, 0, 1)[None].to(kind) / 255
     maps: list[Tensor] = [
-        torch.from_numpy(_pad(values[rows]))[None] for values in (fill.depth_m, fill.confidence, sparse_m)
+        torch.from_numpy(_pad(values[rows]))[None] for values in (fill.depth_m, fill.trust(), sparse_m)
     ]
-    found = ready(seen, *maps)
+    out = net(colour, *maps)
     depth_m, confidence = np.zeros((2, *near.shape), np.float32)
     with torch.inference_mode():
-        trust = -torch.expm1(-WITHIN * torch.exp(-found.log_scale))
-        for value, target in ((found.depth_m.clamp_(*limits_m), depth_m), (trust, confidence)):
+        right = -torch.expm1(-WITHIN * torch.exp(-out.log_scale))
+        for value, target in ((out.depth_m.clamp_(*limits_m), depth_m), (right, confidence)):
             np.multiply(value[0].cpu().numpy()[: near[rows].shape[0], : near.shape[1]], near[rows], out=target[rows])
     return Depth(depth_m, confidence)
 

@@ -5,6 +5,7 @@ depths z: in depth, z = a v + b, or in disparity, 1 / z = a v + b with v the net
 Minimised is the relative error, so that near and far count alike, and of what is off by far nothing (Tukey's biweight).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
@@ -19,7 +20,7 @@ Kind: TypeAlias = Literal["scale", "scale-shift"]
 Space: TypeAlias = Literal["depth", "disparity"]
 
 PAIRS, JUDGES = 400, 2000  # lines through two samples that are tried, and samples that judge them
-ROUNDS = 20
+ALIGN_ROUNDS = 20
 BIWEIGHT = 4.685  # 95 % efficiency where the noise is Gaussian
 SHARPEST = 1e-7  # of a relative error: below it lies rounding
 FEWEST = 2
@@ -40,6 +41,41 @@ class Alignment:
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             depth_m = (line if self.space == "depth" else 1 / line).astype(np.float32)
         return np.where((values > 0) & (line > 0) & np.isfinite(depth_m), depth_m, np.float32(0))
+
+
+@dataclass(frozen=True, slots=True)
+class Aligner:
+    """Fits lines between a network's values and known depth, and turns values into depth by them."""
+
+    kind: Kind
+    space: Space
+    """Where the line is."""
+    values_in: Space
+    """What the network gives."""
+
+    def fit(self, values: Sequence[FloatMap], known_m: Sequence[FloatMap], where: str) -> Alignment:
+        """Fit one line to all frames' values and known depth (height, width), 0 = none.
+
+        Raises DataError, which names `where`, as the function `fit` does.
+        """
+        known = [map_m > 0 for map_m in known_m]
+        ours = [self._convert(map_)[mask] for map_, mask in zip(values, known, strict=True)]
+        theirs_m = [map_m[mask] for map_m, mask in zip(known_m, known, strict=True)]
+        try:
+            return fit(np.concatenate(ours), np.concatenate(theirs_m), self.kind, self.space)
+        except DataError as error:
+            raise DataError(f"{where}: {error}") from error
+
+    def apply(self, line: Alignment, values: FloatMap) -> FloatMap:
+        """Turn a network's values (height, width) into metres by a line; 0 = none."""
+        return line.apply(self._convert(values))
+
+    def _convert(self, values: FloatMap) -> FloatMap:
+        """Turn the network's values into the space of the line: depth into disparity or back."""
+        if self.values_in == self.space:
+            return values
+        with np.errstate(divide="ignore"):
+            return np.where(values > 0, 1 / values, np.float32(0)).astype(np.float32)
 
 
 def fit(values: FloatMap, known_m: FloatMap, kind: Kind, space: Space) -> Alignment:
@@ -88,7 +124,7 @@ def _start_line(v: Floats, one: Floats) -> Floats | None:
 
 def _settle(columns: Floats, line: Floats) -> Floats:
     """Refine columns (n, k) @ line = 1 by least squares, reweighted by Tukey's biweight of each sample's error."""
-    for _ in range(ROUNDS):
+    for _ in range(ALIGN_ROUNDS):
         error = columns @ line - 1
         spread = max(1.4826 * float(np.median(np.abs(error))), SHARPEST)
         weight = np.clip(1 - (error / (BIWEIGHT * spread)) ** 2, 0, None)  # its square root: 1 - (e / c)^2

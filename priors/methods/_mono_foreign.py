@@ -160,17 +160,15 @@ class Foreign:
 
 
 def open_foreign(weights: Path) -> Foreign:
-    """Open an ONNX file, once a process; DataError where onnxruntime, the file or its description is missing."""
+    """Open an ONNX file, once a process; DataError where the file or its description is missing or damaged."""
     description = describe(weights)
     return Foreign(description, _session(weights, digest(weights)), weights)
 
 
 @lru_cache(maxsize=2)
 def _session(weights: Path, _digest: str) -> Any:
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise DataError(f"{weights}: running it needs onnxruntime: pip install 'roadprior[onnx]'") from error
+    import onnxruntime
+
     try:
         return onnxruntime.InferenceSession(str(weights), providers=onnxruntime.get_available_providers())
     except Exception as error:  # onnxruntime's errors share no base class but this

@@ -1,4 +1,4 @@
-"""Stereo by a network: what part of the pair it sees at what scale, and its confidence."""
+"""Stereo matching by a network: what part of the pair it sees, at what scale, and its confidence."""
 
 import threading
 from collections.abc import Callable
@@ -10,15 +10,16 @@ import cv2
 import numpy as np
 from torch import Tensor
 
+from priors.methods._network import Network
 from priors.nets import runtime, weights
-from priors.nets.confidence import Calibration
+from priors.nets.confidence import ConfidenceCalibration
 from priors.nets.export import Graph, Graphs
 from priors.pairs.matching import to_grey
 from priors.types import FloatMap, Image
 
 Run = Callable[[Tensor, Tensor, int], tuple[FloatMap, FloatMap, FloatMap]]
 
-STEP_PX = 32
+RANGE_STEP_PX = 32
 """Networks search a multiple of this many disparities."""
 MOST_PIXELS, MOST_DISPARITY_PX = 1_500_000, 320
 """Larger pairs are halved first, as often as needed: KITTI has 0.47 million pixels, Argoverse's pair 5 million."""
@@ -30,13 +31,13 @@ _OPENING = threading.Lock()
 
 
 @dataclass(frozen=True, slots=True)
-class Network:
-    """A stereo network that is ready to run."""
+class NetworkMatcher:
+    """A stereo network that is ready to match."""
 
     run: Run
     """Called with the pair (1, 3, h, w), as `take` makes it, and the disparities to search; returns disparity,
     sigma (px) and doubt, each (h, w)."""
-    calibration: Calibration
+    calibration: ConfidenceCalibration
     take: Callable[[Image], Tensor] = runtime.as_bytes
     """How an image becomes what `run` takes."""
 
@@ -54,41 +55,41 @@ class Network:
         halvings = count_halvings(left.shape[:2], max_disparity_px)
         small_left, small_right = shrink(left, halvings), shrink(right, halvings)
         scale = left.shape[1] / small_left.shape[1]
-        largest_px = STEP_PX * -(-(int(max_disparity_px / scale) + 1) // STEP_PX)
-        found = self.run(self.take(small_left), self.take(small_right), largest_px)
-        trust = self.calibration(*found)
-        found_px = np.maximum(found[0], np.float32(LEAST_PX)) * np.float32(scale)
+        largest_px = RANGE_STEP_PX * -(-(int(max_disparity_px / scale) + 1) // RANGE_STEP_PX)
+        small_px, sigma_px, doubt = self.run(self.take(small_left), self.take(small_right), largest_px)
+        trust = self.calibration(small_px, sigma_px, doubt)
+        part_px = np.maximum(small_px, np.float32(LEAST_PX)) * np.float32(scale)
         if halvings:
             size = (left.shape[1], left.shape[0])
-            found_px, trust = (np.asarray(cv2.resize(map_, size), np.float32) for map_ in (found_px, trust))
-        disparity_px[part], confidence[part] = found_px, trust
+            part_px, trust = (np.asarray(cv2.resize(map_, size), np.float32) for map_ in (part_px, trust))
+        disparity_px[part], confidence[part] = part_px, trust
         return disparity_px, confidence
 
 
-def open_network(name: str, size: str, chosen: runtime.Runtime, file: Path | None) -> Network:
+def open_matcher(network: Network) -> NetworkMatcher:
     """Load a network, once a process; DataError where its weights are missing or damaged."""
-    path = weights.find(name, size, file)
+    network, path = network.resolve(), network.file()
     with _OPENING:
-        return _open(name, size, chosen, path, weights.digest(path))
+        return _open(network, path, weights.digest(path))
 
 
 @lru_cache(maxsize=16)
-def _open(name: str, size: str, chosen: runtime.Runtime, path: Path, _digest: str) -> Network:
+def _open(network: Network, path: Path, _digest: str) -> NetworkMatcher:
     if path.suffix == ".onnx":
         graph = Graph(path)
-        return Network(
-            lambda left, right, largest_px: graph(left, right), Calibration.read(graph.about), runtime.as_input
-        )
-    ready = runtime.open_net(name, size, chosen, path)
-    calibration = Calibration.read(ready.about)
+        calibration = ConfidenceCalibration.read(graph.about)
+        return NetworkMatcher(lambda left, right, largest_px: graph(left, right), calibration, runtime.as_input)
+    chosen = network.decide()
+    ready = runtime.open_net(network.model, network.size, chosen, path)
+    calibration = ConfidenceCalibration.read(ready.about)
     if chosen == "onnx":
-        return Network(Graphs(ready), calibration, runtime.as_input)
+        return NetworkMatcher(Graphs(ready), calibration, runtime.as_input)
 
     def run(left: Tensor, right: Tensor, largest_px: int) -> tuple[FloatMap, FloatMap, FloatMap]:
-        found = ready(left, right, largest_px=largest_px)
-        return runtime.as_map(found.disparity_px), runtime.as_map(found.sigma_px), runtime.as_map(found.doubt)
+        out = ready(left, right, largest_px=largest_px)
+        return runtime.as_map(out.disparity_px), runtime.as_map(out.sigma_px), runtime.as_map(out.doubt)
 
-    return Network(run, calibration)
+    return NetworkMatcher(run, calibration)
 
 
 def busy(left: Image, right: Image) -> tuple[slice, slice]:

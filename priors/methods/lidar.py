@@ -9,15 +9,17 @@ The windows are angles: what separates a 64-line scanner's samples, turned into 
 """
 
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import cv2
 import numpy as np
 
-from priors.errors import DataError
+from priors.errors import DataError, expect
 from priors.geometry import invert
 from priors.machine import threads
-from priors.types import Depth, FloatMap, Frame, Mask, Matrix, Sweep
+from priors.pairs.matching import quick_match
+from priors.pairs.read import read_pair
+from priors.types import Depth, FloatMap, Frame, Input, Mask, Matrix, Method, Sweep
 
 LINE_GAP_RAD = 0.0074  # between two scan lines of an HDL-64: 0.42 degrees
 COLUMN_GAP_RAD = 0.0030  # between two firings of one laser at 10 Hz: 0.17 degrees
@@ -33,7 +35,7 @@ NO_SOURCE = np.int16(32767)
 
 
 @dataclass(frozen=True)
-class Lidar:
+class Lidar(Method):
     """Project the LiDAR's sweep, or several accumulated by the drive's poses, and drop what the camera does not see.
 
     A drive (or frame) without poses has its own sweep only; sweeps that the drive misses are left out.
@@ -48,12 +50,13 @@ class Lidar:
     stereo: bool = True
     """Drop points that the stereo pair contradicts, where the drive has a second camera."""
 
+    VERSION: ClassVar[int] = 1
+
     def __post_init__(self) -> None:
-        if self.sweeps < 1:
-            raise DataError(f"lidar: sweeps is {self.sweeps}, expected 1 or more")
+        expect(self.sweeps >= 1, "--lidar.sweeps", self.sweeps, "1 or more")
 
     @property
-    def reads(self) -> tuple[str, ...]:
+    def reads(self) -> tuple[Input, ...]:
         """Return what a frame must have."""
         return ("sweep",)
 
@@ -74,9 +77,9 @@ class Lidar:
             depth_m[hidden(depth_m, frame.camera.fx)] = np.inf
         if self.stereo and frame.baseline_m is not None and frame.has("other"):
             depth_m[stereo_denies(frame, depth_m)] = np.inf
-        sure = confidence(depth_m, frame.camera.fx)
+        trust = confidence(depth_m, frame.camera.fx)
         depth_m[np.isinf(depth_m)] = 0
-        return Depth(depth_m, sure)
+        return Depth(depth_m, trust)
 
 
 def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
@@ -89,7 +92,7 @@ def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
     depth_m = np.full(frame.camera.size, np.inf, dtype=np.float32)
     sources = np.full(frame.camera.size, NO_SOURCE)
     free_m = np.zeros((0, 0), dtype=np.float32)  # not known
-    found = False
+    used = 0
     for offset in sorted(range(-(count // 2), (count + 1) // 2), key=abs):
         placed = _place(frame, offset)
         if placed is None:
@@ -102,8 +105,8 @@ def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
             splat(sweep.xyz_m, sweep.time_s, sweep.velocity, P, offset, AGREE, free_m, depth_m, sources)
         if offset == 0 and motion and count > 1:
             free_m = free_space(depth_m, frame.camera.fx)
-        found = True
-    if not found:
+        used += 1
+    if not used:
         raise DataError(f"frame {frame.id}: no sweep at it or {count // 2} frames around: leave it out with --frames")
     return depth_m
 
@@ -176,21 +179,17 @@ def stereo_denies(frame: Frame, depth_m: FloatMap) -> Mask:
     A value may agree with any of the 3x3 disparities around it: at an outline the match is not sharper than that.
     """
     from priors.kernels.visibility import deny
-    from priors.pairs.matching import quick_match
 
     if frame.baseline_m is None:
         return np.zeros(depth_m.shape, dtype=bool)
-    image, other = frame.image(), frame.other()
+    pair = read_pair(frame)
     focal_baseline = frame.camera.fx * frame.baseline_m
     largest_px = None  # the match finds it
     some_m = depth_m[::3, ::3]
     some_m = some_m[some_m < np.inf]
     if some_m.size > 0:
-        largest_px = int(min(focal_baseline / np.quantile(some_m, 0.001), image.shape[1] / 2)) + SEARCH_MARGIN_PX
-    if frame.side == "left":
-        matched_px = quick_match(image, other, largest_px)
-    else:  # in the mirror, the right camera is the left one
-        matched_px = quick_match(image[:, ::-1], other[:, ::-1], largest_px)[:, ::-1]
+        largest_px = int(min(focal_baseline / np.quantile(some_m, 0.001), pair.left.shape[1] / 2)) + SEARCH_MARGIN_PX
+    matched_px = pair.match(lambda left, right: quick_match(left, right, largest_px))
     slack_px = STEREO_SLACK_PX * frame.camera.fx / STEREO_FOCAL_PX
     return deny(depth_m, matched_px, focal_baseline, slack_px, STEREO_SLACK)
 
@@ -201,6 +200,6 @@ def confidence(depth_m: FloatMap, fx_px: float) -> FloatMap:
     It is the share of the neighbourhood that has values, over 1 + (spread / STEADY)^2 with the spread of their inverse
     depth (standard deviation over mean): high inside a surface that many samples hit, low at outlines and for strays.
     """
-    from priors.kernels.support import support
+    from priors.kernels.neighbour_support import support
 
     return support(depth_m, round(SUPPORT_RAD * fx_px), STEADY)

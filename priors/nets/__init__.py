@@ -1,1 +1,1 @@
-"""The networks: one file each on one shared trunk; runtime.py runs them, weights.py finds what they learned."""
+"""Networks: one file each, on one shared trunk; runtime.py runs them, weights.py finds their weights."""

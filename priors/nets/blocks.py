@@ -56,7 +56,7 @@ class Exact(nn.Sequential):
         return run(*values, last.stride, last.padding, last.dilation)
 
 
-class Climb(nn.Sequential):
+class UpsampleConv(nn.Sequential):
     """A 3D convolution of a volume of half the size, repeated to full size, on top of one of full size.
 
     Repeating first and convolving then is how it was learned; fused.py and planes.py know quicker ways to the same.

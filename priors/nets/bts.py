@@ -94,7 +94,7 @@ class Bts(nn.Module):
         merged = self.merge(join(levels[0], self.lower(context), guide.to(levels[0].dtype)))
         change, slopes, sky, scale = torch.split(self.fine(merged), [1, 2, 1, 1], dim=1)
         inverse = torch.exp(-guide - change.clamp(-3, 3))
-        fine = upsample(inverse, STEEPEST_QUARTER * torch.tanh(slopes), sky, planar(self.mix, merged), 4)[
+        fine = upsample(inverse, STEEPEST_QUARTER * torch.tanh(slopes), sky, conv1x1(self.mix, merged), 4)[
             ..., :height, :width
         ]
         scale = F.interpolate((scale - 2).clamp(SMALLEST_SCALE, LARGEST_SCALE), scale_factor=4.0, mode="bilinear")
@@ -201,7 +201,7 @@ def head(inputs: int, outputs: int) -> Exact:
     return Exact(first, last)
 
 
-def planar(layer: nn.Conv2d, features: Tensor) -> Tensor:
+def conv1x1(layer: nn.Conv2d, features: Tensor) -> Tensor:
     """Run a 1x1 convolution whose result (b, c, h, w) lies channel by channel, whatever its input's layout."""
     batch, inputs, height, width = features.shape
     pixels = features.permute(0, 2, 3, 1).reshape(batch, height * width, inputs)

@@ -13,12 +13,12 @@ in the last stage. Confidence is the probability of an error below 1 px, read fr
 import torch
 from torch import Tensor, nn
 
-from priors.nets.blocks import Climb, Residual, both, conv, conv3d
-from priors.nets.coarse import WIDTHS, Coarse
-from priors.nets.intake import take_in
+from priors.nets.blocks import Residual, UpsampleConv, both, conv, conv3d
+from priors.nets.hourglass import WIDTHS, Hourglass
 from priors.nets.matching import expect, lookup, lookup_beside
-from priors.nets.outputs import Matched, StereoOut, finer
-from priors.nets.planes import weigh
+from priors.nets.onnx_volume import weigh
+from priors.nets.stereo_input import preprocess
+from priors.nets.stereo_output import Matched, StereoOut, finer
 from priors.nets.tensors import is_traced, join
 from priors.nets.trunk import SIZES, Trunk
 
@@ -27,7 +27,7 @@ QUARTER_REACH_PX, HALF_REACH_PX = 2.5, 1.5
 """Least half-width of a range, pixels of its stage."""
 
 
-class Range(nn.Module):
+class SearchRange(nn.Module):
     """The disparities a stage searches around the last one's answer; the width is learned."""
 
     def __init__(self, planes: int, reach_px: float) -> None:
@@ -52,13 +52,13 @@ class Quarter(nn.Module):
 
     def __init__(self, channels: int, width: int = 16) -> None:
         super().__init__()
-        self.range = Range(QUARTER_PLANES, QUARTER_REACH_PX)
+        self.range = SearchRange(QUARTER_PLANES, QUARTER_REACH_PX)
         self.head = nn.Conv2d(channels, 32, 1)
         self.groups = 4
         self.first = conv3d(self.groups + 1, width)
         self.gate = nn.Conv2d(channels, width, 1)
         self.down = nn.Sequential(conv3d(width, 2 * width, stride=2), conv3d(2 * width, 2 * width))
-        self.up = Climb(*conv3d(2 * width, width))
+        self.up = UpsampleConv(*conv3d(2 * width, width))
         self.last = nn.Sequential(conv3d(width, width), nn.Conv3d(width, 1, 3, padding=1))
 
     def forward(self, left: Tensor, right: Tensor, disparity_px: Tensor, sigma_px: Tensor) -> Matched:
@@ -77,7 +77,7 @@ class Half(nn.Module):
 
     def __init__(self, channels: int, width: int = 32) -> None:
         super().__init__()
-        self.range = Range(HALF_PLANES, HALF_REACH_PX)
+        self.range = SearchRange(HALF_PLANES, HALF_REACH_PX)
         self.groups = 4
         self.lift = conv(channels, 16, 1)
         self.features = conv(16 + 12, 32)
@@ -125,7 +125,7 @@ class Cfnet(nn.Module):
         super().__init__()
         channels = SIZES[size]
         self.trunk = Trunk(channels)
-        self.coarse = Coarse(channels, WIDTHS[size])
+        self.coarse = Hourglass(channels, WIDTHS[size])
         self.to_quarter = nn.Conv2d(channels[1], 36, 1)
         self.quarter = Quarter(channels[0])
         self.to_half = nn.Conv2d(channels[0], 36, 1)
@@ -137,7 +137,7 @@ class Cfnet(nn.Module):
         Training may ask for fewer stages, the first ones, at sizes that are multiples of 32.
         """
         size = (left.shape[-2], left.shape[-1])
-        quarters, halves = take_in(left, right, self.to_half.weight.dtype)
+        quarters, halves = preprocess(left, right, self.to_half.weight.dtype)
         ours, theirs = zip(*(level.chunk(2) for level in self.trunk.see(quarters)), strict=True)
         image, other = halves.chunk(2)
         coarse = self.coarse(ours, theirs, largest_px // 8)

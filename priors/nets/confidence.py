@@ -1,9 +1,9 @@
-"""From what a network says of itself to a confidence: the probability that its disparity is within 1 px.
+"""Confidence of a stereo network: the probability that its disparity is within 1 px.
 
 A network returns the spread of its matching distribution (sigma) and a logit of being wrong (doubt), both learned on
-its training data. How they relate to its errors is measured on data that it never saw (priors/learn/confidence.py) and
-kept in the header of its weights: a score, which is a weighted sum of the two and of cheap evidence, and a falling
-table from score to probability.
+its training data. How they relate to its errors is measured on data that it never saw
+(priors/learn/confidence_calibration.py). The header of the weights keeps the result: a score, which is a weighted sum
+of the two and of cheap evidence, and a falling table from score to probability.
 """
 
 from collections.abc import Iterable, Iterator
@@ -33,7 +33,7 @@ TERMS = ("doubt", "log_sigma", "distance", "slope", "hidden")
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ConfidenceCalibration:
     """A score from evidence, and what share of pixels with that score was within 1 px."""
 
     weights: tuple[float, ...]
@@ -124,7 +124,7 @@ def is_hidden(disparity_px: FloatMap) -> npt.NDArray[np.bool_]:
     return hidden
 
 
-def fit(terms: FloatMap, within: npt.NDArray[np.bool_], far: float = 0.0, knots: int = 40) -> Calibration:
+def fit(terms: FloatMap, within: npt.NDArray[np.bool_], far: float = 0.0, knots: int = 40) -> ConfidenceCalibration:
     """Fit a calibration: logistic regression for the score, then an isotonic table.
 
     Args:
@@ -142,7 +142,7 @@ def fit(terms: FloatMap, within: npt.NDArray[np.bool_], far: float = 0.0, knots:
     middles = [score[order[a:b]].mean() for a, b in bins]
     ends = score[order[0]] - 1e-3, score[order[-1]] + 1e-3
     table = _tilt(np.concatenate([shares[:1], shares, shares[-1:]]))
-    return Calibration(*(tuple(map(float, part)) for part in (weights, [ends[0], *middles, ends[1]], table)))
+    return ConfidenceCalibration(*(tuple(map(float, part)) for part in (weights, [ends[0], *middles, ends[1]], table)))
 
 
 def _tilt(shares: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Networks as ONNX files, and onnxruntime to run the stereo ones (graphs.py runs the others).
+"""ONNX files of networks, and onnxruntime to run the stereo ones (graphs.py runs the others).
 
     python -m priors.nets.export --net cfnet --size s --image-size 1242x375 --max-disparity 192 --out cfnet-s.onnx
     python -m priors.nets.export --net bts --size m --image-size 1242x375 --out bts-m.onnx
@@ -27,7 +27,7 @@ from priors import codecs
 from priors.errors import DataError
 from priors.nets.graphs import FORMS, open_session, write_down
 from priors.nets.graphs import to_onnx as one_image_to_onnx
-from priors.nets.planes import portable
+from priors.nets.onnx_volume import portable
 from priors.nets.runtime import Ready
 
 OUTPUTS = ("disparity_px", "sigma_px", "doubt")
@@ -123,11 +123,11 @@ class Graphs:
         return graph(left, right)
 
 
-def main() -> None:
-    """Write an ONNX file."""
+def main(arguments: list[str] | None = None) -> None:
+    """Write an ONNX file; takes the command line's arguments."""
     import tyro
 
-    tyro.cli(export, description=__doc__)
+    tyro.cli(export, args=arguments, description=__doc__)
 
 
 def export(
@@ -145,7 +145,7 @@ def export(
     """
     from priors.nets.runtime import open_net
 
-    width, height = (int(side) for side in image_size.split("x"))
+    width, height = _parse_size(image_size)
     ready = open_net(net, size, "onnx", weights)
     if net in FORMS:
         codecs.write_bytes(out, one_image_to_onnx(ready, net, FORMS[net].examples(height, width)))
@@ -156,5 +156,16 @@ def export(
     Graph(out)
 
 
+def _parse_size(text: str) -> tuple[int, int]:
+    """Return width and height of WIDTHxHEIGHT."""
+    sides = text.split("x")
+    if len(sides) != 2 or not all(side.isdigit() and int(side) for side in sides):
+        raise DataError(f"--image-size {text}: expected WIDTHxHEIGHT in pixels, for example 1242x375")
+    return int(sides[0]), int(sides[1])
+
+
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except DataError as error:
+        raise SystemExit(str(error)) from None

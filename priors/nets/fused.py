@@ -1,4 +1,4 @@
-"""Inference on CPUs: convolution, addition and ReLU in one pass over memory (oneDNN's post-operations).
+"""Operator fusion for CPUs: convolution, addition and ReLU in one pass over memory (oneDNN's post-operations).
 
 A ReLU or an addition on its own costs half of what a small convolution does: it is bound by memory. The operators are
 those that torch's own compiler emits, so they need no compiler on the machine; where a torch build lacks them, or on
@@ -13,8 +13,8 @@ import torch
 from torch import Tensor, nn
 
 from priors.machine import threads
-from priors.nets.blocks import Climb, Exact, Residual
-from priors.nets.int8 import IntegerConv, Range
+from priors.nets.blocks import Exact, Residual, UpsampleConv
+from priors.nets.int8 import ActivationRange, IntegerConv
 from priors.nets.tensors import as_bits
 
 Net = TypeVar("Net", bound=nn.Module)
@@ -40,8 +40,8 @@ def fuse(net: Net) -> Net:
             continue
         if isinstance(child, Exact):
             setattr(net, name, FusedExact(child))
-        elif isinstance(child, Climb):
-            setattr(net, name, FusedClimb(child))
+        elif isinstance(child, UpsampleConv):
+            setattr(net, name, FusedUpsampleConv(child))
         elif isinstance(child, Residual):
             setattr(net, name, FusedResidual(child))
         elif _is_planar(child):
@@ -148,14 +148,14 @@ class FusedResidual(nn.Module):
         return self.second(self.first(x), x)
 
 
-class FusedClimb(nn.Module):
+class FusedUpsampleConv(nn.Module):
     """A convolution of a repeated volume without repeating it: a third of the products, and a pass that sorts them.
 
     After repeating, two of a kernel's three neighbours along an axis are one and the same value, so that two numbers
     are left of three, other ones at even places than at odd ones: a 2x2x2 kernel for each of the eight kinds of place.
     """
 
-    def __init__(self, climb: Climb) -> None:
+    def __init__(self, climb: UpsampleConv) -> None:
         super().__init__()
         conv = _conv_of(climb)
         assert isinstance(conv, nn.Conv3d)
@@ -163,12 +163,12 @@ class FusedClimb(nn.Module):
 
     def forward(self, small: Tensor, plus: Tensor) -> Tensor:
         """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes)."""
-        from priors.kernels import climb as kernels
+        from priors.kernels import upsample_conv as kernels
 
         found, given = (volume.permute(0, 2, 3, 4, 1) for volume in (self.conv(small), plus))
         out = torch.empty(given.shape, dtype=plus.dtype)
         bits = as_bits(given.flatten(0, 1)), as_bits(found), as_bits(out.flatten(0, 1))
-        threads.over(bits[0].shape[0], lambda first, last: kernels.add_sorted(*bits, first, last))
+        threads.over(bits[0].shape[0], lambda first, last: kernels.add_interleaved(*bits, first, last))
         return out.permute(0, 4, 1, 2, 3)
 
 
@@ -214,12 +214,12 @@ class FusedExact(nn.Module):
 def _quick(conv: nn.Conv2d | nn.Conv3d, after: nn.Module) -> nn.Module:
     """Return a convolution and what follows it in one pass: on 8 bits where int8.mark has noted a range."""
     span = getattr(conv, "span", None)
-    if isinstance(span, Range) and isinstance(conv, nn.Conv2d) and isinstance(after, nn.ReLU):
+    if isinstance(span, ActivationRange) and isinstance(conv, nn.Conv2d) and isinstance(after, nn.ReLU):
         return IntegerConv(conv, span)
     return FusedConv(conv, after)
 
 
-FUSED = (IntegerConv, FusedConv, FusedPlanes, FusedResidual, FusedClimb, FusedExact)
+FUSED = (IntegerConv, FusedConv, FusedPlanes, FusedResidual, FusedUpsampleConv, FusedExact)
 
 
 def _is_pair(sequence: nn.Sequential) -> bool:

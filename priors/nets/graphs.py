@@ -1,4 +1,4 @@
-"""Networks as ONNX graphs: written down once a size of input, run by onnxruntime."""
+"""ONNX graphs of networks: exported once for each size of input, run by onnxruntime."""
 
 import json
 import threading
@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from priors.errors import DataError
 from priors.nets import weights
 from priors.nets.bts import MonoOut
 from priors.nets.mffnet import Completed
@@ -24,7 +23,6 @@ from priors.nets.runtime import Ready, open_net
 OPSET = 17
 KEPT = 4
 """Graphs of a network in memory: a drive has one image size, and what is cropped off it has a few."""
-EXTRA = "needs the packages onnx and onnxruntime: pip install 'roadprior[onnx]'"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,12 +77,10 @@ def write_down(
 ) -> bytes:
     """Turn a module from tensors to tensors into an ONNX file's bytes, for inputs of the examples' sizes.
 
-    `about` goes into the file. Raises DataError where the package onnx is missing.
+    `about` goes into the file.
     """
-    try:
-        import onnx
-    except ImportError as error:
-        raise DataError(f"ONNX export {EXTRA}") from error
+    import onnx
+
     with torch.inference_mode(), warnings.catch_warnings(), TemporaryDirectory() as folder:
         path = Path(folder) / "graph.onnx"
         warnings.simplefilter("ignore")  # of shapes that become constants: that is what is wanted
@@ -103,11 +99,9 @@ def write_down(
 
 
 def open_session(model: bytes | Path) -> Any:
-    """Open a graph in onnxruntime, with as many threads as torch has; DataError where the package is missing."""
-    try:
-        import onnxruntime
-    except ImportError as error:
-        raise DataError(f"runtime onnx {EXTRA}") from error
+    """Open a graph in onnxruntime, with as many threads as torch has."""
+    import onnxruntime
+
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = torch.get_num_threads()
     options.log_severity_level = 3

@@ -1,9 +1,10 @@
-"""Convolutions of 8-bit integers, on CPUs that multiply four of them at a time (VNNI), in stereo networks.
+"""int8 inference: convolutions of 8-bit integers in stereo networks, on CPUs with VNNI.
 
-The ranges of the large 2D convolutions' inputs were measured on drives that trained the network (learn/int8_ranges.py),
-and lie beside its weights: FILE.int8.json. Weights get a scale for each output (Krishnamoorthi 2018, "Quantizing deep
-convolutional networks for efficient inference", section 3), inputs one scale and zero for all. Everything else of the
-network stays as it is. Without VNNI pairs of products saturate at 16 bits, so that it is refused there.
+VNNI multiplies four pairs of them at a time. The ranges of the large 2D convolutions' inputs were measured on drives
+that trained the network (learn/int8_ranges.py), and lie beside its weights: FILE.int8.json. Weights get a scale for
+each output (Krishnamoorthi 2018, "Quantizing deep convolutional networks for efficient inference", section 3), inputs
+one scale and zero for all. Everything else of the network stays as it is. Without VNNI pairs of products saturate at 16
+bits, so that it is refused there.
 """
 
 import json
@@ -24,7 +25,7 @@ LEAST_INPUTS, LEAST_OUTPUTS = 28, 9
 
 
 @dataclass(frozen=True, slots=True)
-class Range:
+class ActivationRange:
     """Where the values of a convolution's input lie, 0 among them."""
 
     low: float
@@ -44,7 +45,7 @@ class Range:
 class IntegerConv(nn.Module):
     """A 2D convolution on 8 bits, plus a given map, and a ReLU; takes and gives what it stands in for."""
 
-    def __init__(self, conv: nn.Conv2d, span: Range) -> None:
+    def __init__(self, conv: nn.Conv2d, span: ActivationRange) -> None:
         super().__init__()
         self.span = span
         self.shape = [list(map(int, sizes)) for sizes in (conv.stride, conv.padding, conv.dilation)]
@@ -57,7 +58,7 @@ class IntegerConv(nn.Module):
         self.bias = None if conv.bias is None else conv.bias.detach().float()
         self.groups = conv.groups
 
-    def forward(self, x: Tensor, plus: Tensor | None = None, to: Range | None = None) -> Tensor:
+    def forward(self, x: Tensor, plus: Tensor | None = None, to: ActivationRange | None = None) -> Tensor:
         """Return relu(conv(x) + plus), (b, channels, h, w), of x's type, or in 8 bits for what has the range `to`.
 
         x may be in 8 bits of its own range already; the result has then the type of `plus`.
@@ -119,7 +120,7 @@ def beside(file: Path) -> Path:
     return file.with_suffix(".int8.json")
 
 
-def read(file: Path) -> dict[str, Range]:
+def read(file: Path) -> dict[str, ActivationRange]:
     """Read the ranges of a file of weights; DataError where there are none or they are of other weights."""
     path = beside(file)
     try:
@@ -128,7 +129,7 @@ def read(file: Path) -> dict[str, Range]:
         raise DataError(f"{path}: no ranges for int8: make them with python -m priors.learn.int8_ranges") from error
     if found.get("weights") != weights.digest(file):
         raise DataError(f"{path}: ranges of other weights: make them again with python -m priors.learn.int8_ranges")
-    return {name: Range(*ends) for name, ends in found["ranges"].items()}
+    return {name: ActivationRange(*ends) for name, ends in found["ranges"].items()}
 
 
 def runs(net: str | None, size: str, file: Path | None = None) -> bool:

@@ -1,4 +1,4 @@
-"""Matching features at given disparities: fused kernels on CPUs, plain torch (volume.py) on GPUs and for export."""
+"""Cost volumes by the fastest way that a device has: fused kernels on CPUs, cost_volume.py in plain torch elsewhere."""
 
 from collections.abc import Sequence
 from functools import partial
@@ -8,20 +8,20 @@ import torch
 from torch import Tensor
 
 from priors.machine import threads
-from priors.nets import planar, volume
+from priors.nets import cost_volume, onnx_matching
 from priors.nets.blocks import side_by_side
-from priors.nets.planes import Planes
+from priors.nets.onnx_volume import Planes
 from priors.nets.tensors import as_bits, is_traced, on_cpu, rows_of_bits, without_gradient
 
 
 def unit(features: Tensor, groups: int) -> Tensor:
-    """Turn features (b, c, h, w) into (b, h, w, c) of unit length; see volume.unit, which this equals.
+    """Turn features (b, c, h, w) into (b, h, w, c) of unit length; see cost_volume.unit, which this equals.
 
     Without gradients the result is float32 on CPUs.
     """
     if not without_gradient(features):
-        return volume.unit(features, groups)
-    from priors.kernels import volume as kernels
+        return cost_volume.unit(features, groups)
+    from priors.kernels import cost_volume as kernels
 
     plain = features.permute(0, 2, 3, 1)
     out = torch.empty(plain.shape)
@@ -30,11 +30,11 @@ def unit(features: Tensor, groups: int) -> Tensor:
 
 
 def expect(logits: Tensor, position_px: Tensor, window: int | None = None) -> tuple[Tensor, Tensor]:
-    """Return mean and deviation of the matching distribution; see volume.expect, which this equals."""
+    """Return mean and deviation of the matching distribution; see cost_volume.expect, which this equals."""
     if is_traced():
-        return planar.expect(logits, position_px, window)
+        return onnx_matching.expect(logits, position_px, window)
     if not without_gradient(logits):
-        return volume.expect(logits, position_px, window)
+        return cost_volume.expect(logits, position_px, window)
     from priors.kernels import distribution as kernels
 
     planes = logits.shape[-1]
@@ -59,16 +59,16 @@ def lookup(
         also: (b, h, w, planes), to be told beside the matches.
 
     Returns:
-        (b, groups, h, w, planes), or groups + 1, of the features' type; see volume.unit and .lookup.
+        (b, groups, h, w, planes), or groups + 1, of the features' type; see cost_volume.unit and .lookup.
     """
     if is_traced():
-        maps = planar.lookup(left, right, disparity_px, groups).unbind(1)
+        maps = onnx_matching.lookup(left, right, disparity_px, groups).unbind(1)
         more = [] if also is None else [also.permute(0, 3, 1, 2).split(1, dim=1)]
         return Planes([torch.cat(parts, dim=1) for parts in zip(maps, *more, strict=True)])
     if not without_gradient(left):
         found = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups).to(left.dtype)
         return found if also is None else torch.cat([found, also[:, None].to(found.dtype)], dim=1)
-    from priors.kernels import volume as kernels
+    from priors.kernels import cost_volume as kernels
 
     out = torch.empty(*disparity_px.shape, groups + (also is not None), dtype=left.dtype)
     told = torch.empty(0, 0, 0) if also is None else also.flatten(0, 1)
@@ -95,11 +95,11 @@ def lookup_beside(
         (b, sum of c + groups * planes, h, w), channels-last.
     """
     if is_traced():
-        return planar.lookup_beside(before, left, right, disparity_px, groups, after)
+        return onnx_matching.lookup_beside(before, left, right, disparity_px, groups, after)
     if not without_gradient(left):
         found = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups)
         return side_by_side(*before, found.permute(0, 2, 3, 1, 4).flatten(3), *after)
-    from priors.kernels import volume as kernels
+    from priors.kernels import cost_volume as kernels
 
     first = before[0] if len(before) == 1 else torch.cat([map_.to(before[0].dtype) for map_ in before], dim=3)
     behind = torch.cat(list(after), dim=3)
@@ -113,23 +113,23 @@ def lookup_beside(
 def correlate(left: Tensor, right: Tensor, groups: int, planes: int) -> Tensor | Planes:
     """Match at disparities 0 .. planes - 1: (b, groups, h, w, planes), as `lookup` does."""
     if is_traced():
-        return planar.correlate(left, right, groups, planes)
+        return onnx_matching.correlate(left, right, groups, planes)
     if not on_cpu(left):
-        return volume.correlate(volume.unit(left, groups), volume.unit(right, groups), groups, planes)
+        return cost_volume.correlate(cost_volume.unit(left, groups), cost_volume.unit(right, groups), groups, planes)
     batch, _, height, width = left.shape
     disparity_px = torch.arange(planes, dtype=torch.float32).expand(batch, height, width, planes)
     return lookup(left, right, disparity_px, groups)
 
 
 def concatenate(left: Tensor, right: Tensor, planes: int) -> Tensor | Planes:
-    """Put both views' features side by side; see volume.concatenate, which this equals."""
-    return (planar if is_traced() else volume).concatenate(left, right, planes)
+    """Put both views' features side by side; see cost_volume.concatenate, which this equals."""
+    return (onnx_matching if is_traced() else cost_volume).concatenate(left, right, planes)
 
 
 def lookup_units(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
-    """Match unit features (b, h, w, c) with gradients, or on a GPU, or for export; see volume.lookup."""
+    """Match unit features (b, h, w, c) with gradients, or on a GPU, or for export; see cost_volume.lookup."""
     if not on_cpu(left):
-        return volume.lookup(left, right, disparity_px, groups)
+        return cost_volume.lookup(left, right, disparity_px, groups)
     found: Tensor = _Match.apply(left, right, disparity_px, groups)
     return found.permute(0, 4, 1, 2, 3)
 
@@ -145,7 +145,7 @@ class _Match(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Tensor:
         ctx.save_for_backward(left, right, disparity_px)
-        from priors.kernels import lookup as kernels
+        from priors.kernels import cost_volume_gradient as kernels
 
         out = torch.empty(*disparity_px.shape, groups)
         rows = [_rows(t) for t in (left, right, disparity_px)]
@@ -154,7 +154,7 @@ class _Match(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *d_out: Tensor) -> tuple[Tensor, Tensor, Tensor, None]:
-        from priors.kernels import lookup as kernels
+        from priors.kernels import cost_volume_gradient as kernels
 
         left, right, disparity_px = ctx.saved_tensors
         rows = [_rows(t) for t in (left, right, disparity_px)]

@@ -135,7 +135,7 @@ def correct(raw: Tensor, log_fill: Tensor, branches: bool) -> tuple[Tensor, ...]
 
 def _correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, ...]:
     """Do the same in a kernel, without the branches."""
-    from priors.kernels import correction as kernels
+    from priors.kernels import depth_correction as kernels
 
     depth, scale = torch.empty_like(log_fill), torch.empty_like(log_fill)
     cells = as_bits(raw.permute(0, 2, 3, 1))

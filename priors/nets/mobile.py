@@ -1,6 +1,6 @@
-"""EfficientNet-Lite0's encoder under the shared decoder: ImageNet has taught it what a single image shows.
+"""EfficientNet-Lite0, an encoder pre-trained on ImageNet, under the shared decoder.
 
-Its depthwise convolutions are slow on CPUs for what they compute, and earn their place by those weights alone: from
+Its depthwise convolutions are slow on CPUs for what they compute. They earn their place by those weights alone: from
 some thousand images of streets nothing like them can be learned. Architecture: Tan and Le, 2019, without squeeze and
 excitation and with ReLU6, as the Lite models have it.
 """

@@ -12,13 +12,13 @@ import torch
 from torch import Tensor, nn
 
 from priors.nets.blocks import Residual, conv
-from priors.nets.coarse import WIDTHS, Coarse
-from priors.nets.intake import take_in
+from priors.nets.cost_volume import shift
+from priors.nets.hourglass import WIDTHS, Hourglass
 from priors.nets.matching import lookup_beside, unit
-from priors.nets.outputs import Matched, StereoOut, finer
+from priors.nets.stereo_input import preprocess
+from priors.nets.stereo_output import Matched, StereoOut, finer
 from priors.nets.tensors import join
 from priors.nets.trunk import SIZES, Trunk
-from priors.nets.volume import shift
 
 JOINED = 8
 GROUPS = 2
@@ -63,7 +63,7 @@ class Pcwnet(nn.Module):
         super().__init__()
         channels = SIZES[size]
         self.trunk = Trunk(channels)
-        self.coarse = Coarse(channels, WIDTHS[size], JOINED)
+        self.coarse = Hourglass(channels, WIDTHS[size], JOINED)
         self.to_quarter = nn.Conv2d(channels[1], 36, 1)
         self.quarter = Warping(channels[0], 4, 48, (1, 2, 4))
         self.lift = conv(channels[0], 16, 1)
@@ -77,7 +77,7 @@ class Pcwnet(nn.Module):
         Training may ask for fewer stages, the first ones, at sizes that are multiples of 32.
         """
         size = (left.shape[-2], left.shape[-1])
-        quarters, halves = take_in(left, right, self.to_quarter.weight.dtype)
+        quarters, halves = preprocess(left, right, self.to_quarter.weight.dtype)
         levels = self.trunk.see(quarters)
         ours, theirs = zip(*(level.chunk(2) for level in levels), strict=True)
         coarse = self.coarse(ours, theirs, largest_px // 8)

@@ -1,4 +1,4 @@
-"""Run networks: picks bf16, fp32, CUDA or onnxruntime from a table, loads each network once a process.
+"""Runtimes of networks: bf16, fp32, int8, CUDA or onnxruntime, picked from a table; each network is loaded once.
 
 Weights are cast once, memory is channels-last, convolutions are fused with what follows them. What is fastest differs
 with the CPU (speeds.py, docs/benchmarks.md). Nothing is measured at run time.
@@ -18,7 +18,6 @@ from torch import Tensor, nn
 from priors.codecs import as_rgb
 from priors.errors import DataError
 from priors.machine import cpu
-from priors.machine.memory import keep_freed
 from priors.nets import int8, speeds, weights
 from priors.nets.blocks import channels_last, fold
 from priors.nets.fused import fuse
@@ -103,7 +102,6 @@ def make_ready(net: nn.Module, runtime: Runtime, about: dict[str, Any] | None = 
         channels_last(net)
     if runtime in ("bf16", "fp32", "int8"):
         fuse(net)
-        keep_freed()
     return Ready(net, runtime, about or {})
 
 

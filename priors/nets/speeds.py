@@ -8,7 +8,6 @@ instructions for that, else fp32.
 
 import json
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,17 +31,11 @@ def table() -> dict[str, Any]:
 
 
 def fastest(mode: Mode, net: str | None, integers: bool = False) -> OnCpu:
-    """Return what runs a network fastest on CPUs of a mode, of what is installed; `integers`: int8 can run it."""
+    """Return what runs a network fastest on CPUs of a mode; `integers`: int8 can run it."""
     measured = table()["modes"].get(mode, {}).get("ratios", {}).get(net, {})
-    there = {"bf16": True, "fp32": True, "int8": integers, "onnx": has_onnx()}
+    there = {"bf16": True, "fp32": True, "int8": integers, "onnx": True}
     here = {runtime: ratio for runtime, ratio in measured.items() if there[runtime]}
     if not here:
         return "bf16" if mode in FAST_BF16 else "fp32"
     best: OnCpu = min(here, key=lambda runtime: float(here[runtime]) * (GRAPH_MUST_GAIN if runtime == "onnx" else 1))
     return best
-
-
-@cache
-def has_onnx() -> bool:
-    """Tell whether the packages are there that export and run graphs."""
-    return all(find_spec(name) is not None for name in ("onnx", "onnxruntime"))

@@ -1,4 +1,4 @@
-"""Tensors as the networks' kernels need them: where a step runs, what kernels see of a tensor, maps side by side."""
+"""Tensors and kernels: where a step runs, what kernels see of a tensor, maps side by side."""
 
 from typing import Any
 

@@ -7,7 +7,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from priors.machine import threads
-from priors.nets import planar
+from priors.nets import onnx_matching
 from priors.nets.tensors import as_bits, is_traced, without_gradient
 
 LARGEST = 30.0
@@ -25,7 +25,7 @@ def convex(values: Tensor, weights: Tensor, factor: int) -> Tensor:
         (b, c, factor * h, factor * w) float32, each value between the least and the largest of its 3x3 neighbours.
     """
     if is_traced():
-        return planar.convex(values, weights, factor, LARGEST)
+        return onnx_matching.convex(values, weights, factor, LARGEST)
     if without_gradient(values):
         return _on_cpu(values, weights, factor)
     batch, channels, height, width = values.shape
@@ -42,7 +42,7 @@ def convex(values: Tensor, weights: Tensor, factor: int) -> Tensor:
 
 def _on_cpu(values: Tensor, weights: Tensor, factor: int) -> Tensor:
     """Do the same in a kernel."""
-    from priors.kernels import convex as kernels
+    from priors.kernels import convex_upsampling as kernels
 
     batch, channels, height, width = values.shape
     out = torch.empty(batch, channels, factor * height, factor * width)

@@ -6,6 +6,7 @@ import numpy.typing as npt
 
 from priors.geometry import convert_disparity, project, transform, untwist
 from priors.pairs import matching
+from priors.pairs.read import read_pair
 from priors.types import Frame, Image
 
 WIDEST_PX = 1600  # wider images are halved: Argoverse's pair is then as fine as KITTI's
@@ -29,8 +30,8 @@ def match_corners(frame: Frame) -> npt.NDArray[np.float64] | None:
     if corners is None:
         return None
     towards = 1 if frame.side == "left" else -1
-    found = [shift for x, y in corners.reshape(-1, 2) if (shift := _find_patch(image, other, round(x), round(y)))]
-    return np.array(found, dtype=np.float64).reshape(-1, 2) * (towards * scale, scale)
+    shifts = [shift for x, y in corners.reshape(-1, 2) if (shift := _find_patch(image, other, round(x), round(y)))]
+    return np.array(shifts, dtype=np.float64).reshape(-1, 2) * (towards * scale, scale)
 
 
 def _find_patch(image: Image, other: Image, x: int, y: int) -> tuple[float, float] | None:
@@ -67,16 +68,7 @@ def compare_sweep(frame: Frame) -> npt.NDArray[np.float64] | None:
     height, width = frame.camera.size
     inside = (depth_m > 1) & (uv_px >= 0).all(axis=1) & (uv_px[:, 0] <= width - 1) & (uv_px[:, 1] <= height - 1)
     cell = np.rint(uv_px[inside]).astype(np.int64)
-    stereo_px = _disparity(frame)[cell[:, 1], cell[:, 0]]
+    stereo_px = read_pair(frame).match(matching.quick_match)[cell[:, 1], cell[:, 0]]
     lidar_px = convert_disparity(depth_m[inside].astype(np.float32), frame.camera.fx, frame.baseline_m)
     seen = (stereo_px > 0) & (lidar_px > 0)
     return np.stack([lidar_px[seen], stereo_px[seen]], axis=1).astype(np.float64)
-
-
-def _disparity(frame: Frame) -> npt.NDArray[np.float32]:
-    """Match the pair with this camera as the left one: a right camera's pair is mirrored."""
-    image, other = frame.image(), frame.other()
-    if frame.side == "left":
-        return matching.quick_match(image, other)
-    mirrored = matching.quick_match(np.ascontiguousarray(image[:, ::-1]), np.ascontiguousarray(other[:, ::-1]))
-    return mirrored[:, ::-1]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from priors.types import FloatMap, Image
 
-STEP_PX = 16  # OpenCV wants a multiple of 16 disparities
+RANGE_STEP_PX = 16  # OpenCV wants a multiple of 16 disparities
 WINDOW_PX = 5
 PENALTY_SMALL, PENALTY_LARGE = 8, 32  # per pixel of the window's area
 UNIQUE_PERCENT = 15  # the best match must beat all others by this
@@ -78,10 +78,10 @@ def largest_disparity(small_px: FloatMap, width: int) -> int:
 
     One in 2000 of the matched pixels may lie beyond: that many are mismatches even in a good pair.
     """
-    found = small_px[small_px > 0]
-    if found.size < 50:
-        return max(STEP_PX, width // 8)
-    return int(np.ceil(4 * float(np.quantile(found, 0.9995)) + 4))
+    matched_px = small_px[small_px > 0]
+    if matched_px.size < 50:
+        return max(RANGE_STEP_PX, width // 8)
+    return int(np.ceil(4 * float(np.quantile(matched_px, 0.9995)) + 4))
 
 
 def to_grey(image: Image) -> Image:
@@ -100,7 +100,7 @@ def halve(image: Image) -> Image:
 
 def _match_grey(left: Image, right: Image, max_disparity_px: int, window: int) -> FloatMap:
     """Match grey images; the left border gets values too, as far as the right view reaches."""
-    count = STEP_PX * max(1, -(-(max_disparity_px + 1) // STEP_PX))
+    count = RANGE_STEP_PX * max(1, -(-(max_disparity_px + 1) // RANGE_STEP_PX))
     area = window * window
     matcher = cv2.StereoSGBM.create(
         minDisparity=0,

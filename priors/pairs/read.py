@@ -1,6 +1,10 @@
-"""A frame's stereo pair: read with this camera as the left one, checked, and how far its disparities are off."""
+"""A frame's stereo pair: read, checked, and mirrored where the frame's camera is the right one.
+
+Matchers know left cameras only. In the mirror, a right camera is one. This is the one place that mirrors a pair.
+"""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -8,12 +12,47 @@ import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.pairs.matching import largest_disparity, quarter_match
-from priors.pairs.offset import Offset, compare, fit_points, usual_offset
+from priors.pairs.rectification import RectificationError, compare_with_sweep, fit, usual_error
 from priors.types import Camera, FloatMap, Frame, Image, Matrix
 
 Kind = TypeVar("Kind", bound=np.generic)
-FEW, MANY = 0.45, 0.55
+FEW_MATCHES, MANY_MATCHES = 0.45, 0.55
 """Shares of the pixels that match: in 50 pairs 0.46 to 0.96 as they are, 0.07 to 0.42 with left and right swapped."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pair:
+    """Two rectified images of one moment, equal in size, with the camera in question as the left one."""
+
+    left: Image
+    """Of the camera in question."""
+    right: Image
+    mirrored: bool
+    """Whether both images are mirrored: the camera in question is the right one in truth."""
+
+    def restore(self, map_: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
+        """Turn a map (height, width) of `left` into the view of the camera in question, as it is."""
+        return mirror_columns(map_) if self.mirrored else map_
+
+    def match(self, matcher: Callable[[Image, Image], FloatMap]) -> FloatMap:
+        """Match by a function of the left and the right image; returns its map in the camera's own view."""
+        return self.restore(matcher(self.left, self.right))
+
+    def swapped(self) -> "Pair":
+        """Return the same pair with the other camera in question."""
+        return Pair(mirror_columns(self.right), mirror_columns(self.left), not self.mirrored)
+
+
+def mirror_columns(map_: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
+    """Mirror an image or a map (height, width, ...) from left to right."""
+    return np.ascontiguousarray(map_[:, ::-1])
+
+
+def mirror_camera(camera: Camera, T_cam_lidar: Matrix) -> tuple[Camera, Matrix]:
+    """Return the camera and the LiDAR's place as the mirrored image has them."""
+    K = camera.K.copy()
+    K[0, 2] = camera.size[1] - 1 - K[0, 2]
+    return Camera(K, camera.size), np.diag([-1.0, 1.0, 1.0, 1.0]) @ T_cam_lidar
 
 
 def baseline(frame: Frame) -> float:
@@ -29,8 +68,8 @@ def baseline(frame: Frame) -> float:
     return frame.baseline_m
 
 
-def read_pair(frame: Frame) -> tuple[Image, Image]:
-    """Read the pair with this camera as the left one: in the mirror, a right camera is."""
+def read_pair(frame: Frame) -> Pair:
+    """Read a frame's pair; DataError where an image is missing, is no image, or the two differ in size."""
     image, other = frame.image(), frame.other()
     if image.shape != other.shape:
         sizes = " and ".join("x".join(map(str, (a.shape[1], a.shape[0], *a.shape[2:]))) for a in (image, other))
@@ -41,54 +80,47 @@ def read_pair(frame: Frame) -> tuple[Image, Image]:
                 f"frame {frame.id}: an image is {one.dtype} {one.shape}: expected uint8 pixels, at least one"
             )
     if frame.side == "left":
-        return image, other
-    return np.ascontiguousarray(image[:, ::-1]), np.ascontiguousarray(other[:, ::-1])
+        return Pair(image, other, mirrored=False)
+    return Pair(mirror_columns(image), mirror_columns(other), mirrored=True)
 
 
-def find_range(frame: Frame, image: Image, other: Image) -> int:
-    """Find how large disparities get in a pair as `read_pair` returns it, px.
+def find_range(frame: Frame, pair: Pair) -> int:
+    """Find how large disparities get in a frame's pair, px.
 
     Raises DataError where the pair matches the other way round only: left and right are swapped.
     """
-    small_px = quarter_match(image, other)
+    small_px = quarter_match(pair.left, pair.right)
     share = np.mean(small_px > 0)
-    if share < FEW:
-        swapped = np.mean(quarter_match(other, image) > 0)
-        if swapped > MANY:
+    if share < FEW_MATCHES:
+        share_swapped = np.mean(quarter_match(pair.right, pair.left) > 0)
+        if share_swapped > MANY_MATCHES:
             raise DataError(
                 f"frame {frame.id}: left and right seem to be swapped: {share:.0%} of the pixels match as they are, "
-                f"{swapped:.0%} the other way round: check which camera is which"
+                f"{share_swapped:.0%} the other way round: check which camera is which"
             )
-    return largest_disparity(small_px, image.shape[1])
+    return largest_disparity(small_px, pair.left.shape[1])
 
 
-def calibrate(frame: Frame, match: Callable[[Image, Image], FloatMap]) -> Offset:
-    """Measure the pair's offset against the frame's own sweep; without one it is what the rig's pairs usually have.
+def measure_rectification(frame: Frame, matcher: Callable[[Image, Image], FloatMap]) -> RectificationError:
+    """Measure the pair's rectification error against the frame's own sweep.
 
-    match: makes the disparity (height, width), px, 0 = none, that is to be corrected; of `read_pair`'s images.
+    Without a sweep it is what the pairs of the frame's rig usually have.
+
+    Args:
+        frame: the frame.
+        matcher: makes the left image's disparity (height, width), px, 0 = none, whose error is measured.
     """
-    usual = usual_offset(frame.rig, frame.camera)
+    usual = usual_error(frame.rig, frame.camera)
     if frame.T_cam_lidar is None or frame.baseline_m is None or not (frame.has("sweep") and frame.has("other")):
         return usual
     sweep = frame.sweep()
     if sweep is None:
         return usual
-    image, other = read_pair(frame)
+    pair = read_pair(frame)
     camera, T_cam_lidar = frame.camera, frame.T_cam_lidar
-    if frame.side == "right":
-        camera, T_cam_lidar, usual = *mirror(camera, T_cam_lidar), usual.mirrored()
-    points = compare(match(image, other), image, camera, frame.baseline_m, sweep, T_cam_lidar)
-    found = fit_points(points, usual)
-    return found if frame.side == "left" else found.mirrored()
-
-
-def mirror(camera: Camera, T_cam_lidar: Matrix) -> tuple[Camera, Matrix]:
-    """Return the camera and the LiDAR's place as the horizontally mirrored image has them."""
-    K = camera.K.copy()
-    K[0, 2] = camera.size[1] - 1 - K[0, 2]
-    return Camera(K, camera.size), np.diag([-1.0, 1.0, 1.0, 1.0]) @ T_cam_lidar
-
-
-def unmirror(frame: Frame, map_: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
-    """Turn a map made from `read_pair` back into the frame's own view."""
-    return map_ if frame.side == "left" else np.ascontiguousarray(map_[:, ::-1])
+    if pair.mirrored:
+        camera, T_cam_lidar = mirror_camera(camera, T_cam_lidar)
+        usual = usual.mirrored()
+    matched_px = matcher(pair.left, pair.right)
+    error = fit(compare_with_sweep(matched_px, pair.left, camera, frame.baseline_m, sweep, T_cam_lidar), usual)
+    return error.mirrored() if pair.mirrored else error

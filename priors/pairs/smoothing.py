@@ -5,11 +5,11 @@ import numpy as np
 
 from priors.types import FloatMap, Image
 
-ROUNDS = 2
+SMOOTHING_ROUNDS = 2
 STRENGTH = 30.0  # a value reaches about sqrt(30) pixels over even ground
 EDGE_GREY, EDGE_PX = 8.0, 1.0  # steps that weaken the tie of two neighbours to 1/e
 SLOPE_PX = 1.0  # a disparity step that is no edge: roads slant from row to row
-STEP_PX, WIDEST, MARGIN_PX = 1.5, 1.5, 3.0  # an occlusion: a larger step, and a hole not much wider than the step
+OCCLUSION_STEP_PX, WIDEST, MARGIN_PX = 1.5, 1.5, 3.0  # a larger step, and a hole not much wider than it: an occlusion
 OCCLUDED = 0.05  # evidence of the background next to an occlusion
 VOID = 1e-12  # evidence everywhere for the background: decides where no match is near
 BACKGROUND_QUANTILE = 0.05
@@ -36,10 +36,10 @@ def diffuse(disparity_px: FloatMap, grey: Image) -> tuple[FloatMap, FloatMap]:
     links = link_columns(grey, disparity_px, SLOPE_PX, EDGE_GREY, EDGE_PX)
     grey_T = np.ascontiguousarray(grey.T)
     links_T = link_columns(grey_T, _transpose(disparity_px), SLOPE_PX, EDGE_GREY, EDGE_PX)
-    filled_px, evidence = fill_occlusions(disparity_px, STEP_PX, WIDEST, MARGIN_PX, OCCLUDED)
+    filled_px, evidence = fill_occlusions(disparity_px, OCCLUSION_STEP_PX, WIDEST, MARGIN_PX, OCCLUDED)
     total_px = filled_px * evidence + np.float32(VOID * background_px)
     evidence += np.float32(VOID)
-    for strength in 1.5 * STRENGTH * 4.0 ** np.arange(ROUNDS - 1, -1, -1) / (4.0**ROUNDS - 1):
+    for strength in 1.5 * STRENGTH * 4.0 ** np.arange(SMOOTHING_ROUNDS - 1, -1, -1) / (4.0**SMOOTHING_ROUNDS - 1):
         total_px, evidence = _transpose(total_px), _transpose(evidence)
         diffuse_columns(total_px, evidence, links_T, strength)
         total_px, evidence = _transpose(total_px), _transpose(evidence)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from priors.street import mesh
 from priors.street.materials import Material
-from priors.street.mesh import Mesh
+from priors.street.mesh import Finish, Mesh
 
 PAINTS = np.array(
     [
@@ -19,7 +19,7 @@ PAINTS = np.array(
         [0.22, 0.19, 0.15], [0.03, 0.05, 0.12], [0.05, 0.05, 0.055], [0.24, 0.25, 0.27],
     ]
 )  # fmt: skip
-BLACK = [0.012, 0.012, 0.012]
+BLACK_TINT = [0.012, 0.012, 0.012]
 
 
 @dataclass(frozen=True)
@@ -109,13 +109,13 @@ def _body(shape: Shape, paint: npt.ArrayLike, key: float) -> list[Mesh]:
     left = np.stack([x, y, z], axis=-1)
     rings = np.concatenate([left, left[:, -2::-1] * [1, -1, 1]], axis=1)
     uv = np.stack([np.broadcast_to(share[:, None], rings.shape[:2]), rings[..., 2]], axis=-1)
-    shell = mesh.loft(rings, Material.PAINT, paint, key, uv, smooth=True)
+    shell = mesh.loft(rings, Finish(Material.PAINT, paint, key), uv, smooth=True)
     count = rings.shape[1]
     ends = [[ring[i], ring[i + 1], ring[count - 2 - i], ring[count - 1 - i]] for ring in (rings[0], rings[-1])
             for i in range(count // 2)]  # fmt: skip
     floor = np.stack([rings[:-1, 0], rings[1:, 0], rings[1:, -1], rings[:-1, -1]], axis=1)
-    end_caps = mesh.quads(ends, Material.PAINT, paint, key, np.full((4, 2), 0.9))
-    return [shell, end_caps, mesh.quads(floor, Material.RUBBER, BLACK)]
+    end_caps = mesh.quads(ends, Finish(Material.PAINT, paint, key), np.full((4, 2), 0.9))
+    return [shell, end_caps, mesh.quads(floor, Finish(Material.RUBBER, BLACK_TINT))]
 
 
 def _glass_house(shape: Shape, paint: npt.ArrayLike, key: float) -> list[Mesh]:
@@ -135,8 +135,10 @@ def _glass_house(shape: Shape, paint: npt.ArrayLike, key: float) -> list[Mesh]:
     dome = z[-1] + (shape.height_m - z[-1]) * np.sqrt(1 - cap**2) ** 0.7
     roof = _outlines(middle - reach * cap, middle + reach * cap, half[-1] * cap, dome, round_x, round_y)
     return [
-        mesh.loft(rings, Material.CAR_GLASS, paint, key, uv.astype(np.float32), smooth=True),
-        mesh.loft(roof, Material.PAINT, paint, key, np.full((*roof.shape[:2], 2), 0.95, np.float32), smooth=True),
+        mesh.loft(rings, Finish(Material.CAR_GLASS, paint, key), uv.astype(np.float32), smooth=True),
+        mesh.loft(
+            roof, Finish(Material.PAINT, paint, key), np.full((*roof.shape[:2], 2), 0.95, np.float32), smooth=True
+        ),
     ]
 
 
@@ -158,14 +160,16 @@ def _wheels(shape: Shape, rng: np.random.Generator) -> list[Mesh]:
     for x in (-0.305 * shape.length_m, 0.31 * shape.length_m):
         for side in (1, -1):
             face = side * 0.5 * shape.width_m
-            arch = mesh.disc([x, face * 1.003, radius], 1, radius * 1.15, Material.RUBBER, BLACK, sides=20)
+            arch = mesh.disc([x, face * 1.003, radius], 1, radius * 1.15, Finish(Material.RUBBER, BLACK_TINT), sides=20)
             arch.corners[..., 2] = np.maximum(arch.corners[..., 2], 0.2)
             tyre = [x, face - side * 0.2, radius], [x, face + side * 0.012, radius]
             parts += [
                 arch,
-                mesh.tube(*tyre, (radius, radius), Material.RUBBER, [0.022] * 3, sides=20),
-                mesh.disc([x, face + side * 0.012, radius], 1, radius, Material.RUBBER, [0.02] * 3, sides=20),
-                mesh.disc([x, face + side * 0.018, radius], 1, 0.66 * radius, Material.RIM, rim, rng.uniform(0, 9), 18),
+                mesh.tube(*tyre, (radius, radius), Finish(Material.RUBBER, [0.022] * 3), sides=20),
+                mesh.disc([x, face + side * 0.012, radius], 1, radius, Finish(Material.RUBBER, [0.02] * 3), sides=20),
+                mesh.disc(
+                    [x, face + side * 0.018, radius], 1, 0.66 * radius, Finish(Material.RIM, rim, rng.uniform(0, 9)), 18
+                ),
             ]
     return parts
 
@@ -184,16 +188,20 @@ def _details(shape: Shape, key: float, rng: np.random.Generator) -> list[Mesh]:
         lamp = [front - 0.2, head[0], hood * 0.60], [front + 0.008, head[1], hood * 0.75]
         light = [rear - 0.008, tail[0], belt * 0.62], [rear + 0.12, tail[1], belt * 0.84]
         parts += [
-            mesh.box(*lamp, Material.LAMP, [0.6] * 3, key),
-            mesh.box(*light, Material.LAMP, [0.30, 0.012, 0.012], key),
-            mesh.box([x, mirror[0], belt + 0.01], [x + 0.08, mirror[1], belt + 0.13], Material.PLAIN, BLACK, key),
+            mesh.box(*lamp, Finish(Material.LAMP, [0.6] * 3, key)),
+            mesh.box(*light, Finish(Material.LAMP, [0.30, 0.012, 0.012], key)),
+            mesh.box(
+                [x, mirror[0], belt + 0.01], [x + 0.08, mirror[1], belt + 0.13], Finish(Material.PLAIN, BLACK_TINT, key)
+            ),
         ]
     for x, z in ((front + 0.012, 0.42), (rear - 0.012, belt * 0.60)):
         plate = [x, -0.26, z], [x, 0.26, z], [x, 0.26, z + 0.11], [x, -0.26, z + 0.11]
-        parts.append(mesh.quads([plate], Material.PLATE, [0.62, 0.62, 0.6], rng.uniform(0, 999), mesh.UNIT_PANE))
+        parts.append(
+            mesh.quads([plate], Finish(Material.PLATE, [0.62, 0.62, 0.6], rng.uniform(0, 999)), mesh.UNIT_PANE)
+        )
     strips = [
         [[front - 0.1, -0.40 * half, hood * 0.60], [front + 0.006, 0.40 * half, hood * 0.73]],
         [[front - 0.12, -0.66 * half, 0.33], [front + 0.006, 0.66 * half, 0.39]],
         [[rear - 0.006, -0.7 * half, 0.36], [rear + 0.1, 0.7 * half, 0.43]],
     ]
-    return [*parts, mesh.boxes(strips, Material.RUBBER, BLACK)]
+    return [*parts, mesh.boxes(strips, Finish(Material.RUBBER, BLACK_TINT))]

@@ -5,6 +5,24 @@ from typing import Self
 
 import numpy as np
 
+from priors.errors import expect
+
+POSITIVE = (
+    "length_m",
+    "lanes",
+    "lane_m",
+    "tree_gap_m",
+    "bend_wave_m",
+    "haze_m",
+    "exposure",
+    "camera_height_m",
+    "speed_mps",
+    "traffic_gap_m",
+)
+AT_LEAST_0 = ("seed", "bend_rad", "slope", "sun_strength", "sky_strength", "saturation", "blur_px", "walkers")
+SHARES = ("parked_share", "cloud_cover")
+"""Fields of StreetConfig by what they may be."""
+
 
 @dataclass(frozen=True)
 class StreetConfig:
@@ -65,9 +83,23 @@ class StreetConfig:
     walkers: int = 2
     """Moving people; others stand still."""
 
+    def __post_init__(self) -> None:
+        values = vars(self)
+        for name in POSITIVE:
+            expect(values[name] > 0, f"street: {name}", values[name], "above 0")
+        for name in AT_LEAST_0:
+            expect(values[name] >= 0, f"street: {name}", values[name], "0 or more")
+        for name in SHARES:
+            expect(0 <= values[name] <= 1, f"street: {name}", values[name], "0 to 1")
+        for name, widths_m in {"parking_m": self.parking_m, "pavement_m": self.pavement_m}.items():
+            expect(min(widths_m) >= 0, f"street: {name}", widths_m, "0 or more")
+        expect(all(0 <= share <= 1 for share in self.built_share), "street: built_share", self.built_share, "0 to 1")
+        expect(1 <= self.floors[0] <= self.floors[1], "street: floors", self.floors, "1 or more, the smaller first")
+
     @classmethod
     def draw(cls, seed: int, length_m: float = 340.0) -> Self:
         """Draw a world's parameters from its seed."""
+        expect(seed >= 0, "street: seed", seed, "0 or more")
         rng = np.random.default_rng([seed, 1])
         overcast = rng.random() < 0.2
         side = float(rng.choice([-1.0, 1.0]))

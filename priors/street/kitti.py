@@ -8,10 +8,10 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from priors import codecs
+from priors.drives._oxts import EARTH_RADIUS_M
 from priors.street import rig
 from priors.types import Camera, Matrix
 
-EARTH_RADIUS_M = 6378137.0
 START_DEGREES = (49.0, 8.43)
 START_TIME = datetime(2011, 9, 26, 13, 2, 25)
 

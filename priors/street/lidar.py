@@ -5,22 +5,20 @@ from collections.abc import Callable
 import numpy as np
 import numpy.typing as npt
 
+from priors.drives._velodyne import SECONDS_PER_RADIAN
 from priors.street.materials import LASER_RETURN
-from priors.street.scene import Scene
+from priors.street.raycast import RayCaster
 from priors.types import Matrix
 
-SWEEP_S = 0.1
-SECONDS_PER_RADIAN = -SWEEP_S / (2 * np.pi)
-"""Clockwise seen from above, facing forward at the sweep's reference time (drives/kitti_raw.py has the same)."""
 ELEVATIONS_RAD = np.radians(np.concatenate([np.linspace(2.0, -8.33, 32), np.linspace(-8.83, -24.8, 32)]))
 AZIMUTHS = 2083
 RANGE_M = 110.0
-NEAR_M = 2.5
+CLOSEST_M = 2.5
 NOISE_M = 0.02
 
 
 def scan(
-    scene: Scene,
+    caster: RayCaster,
     material: npt.NDArray[np.uint8],
     tint: npt.NDArray[np.floating],
     T_world_velo: Callable[[npt.NDArray[np.floating]], Matrix],
@@ -30,9 +28,9 @@ def scan(
     """Measure one turn around a reference time.
 
     Args:
-        scene: what is measured.
-        material: (triangles,) of the scene.
-        tint: (triangles, 3) of the scene.
+        caster: what is measured.
+        material: (triangles,) of the triangles.
+        tint: (triangles, 3) of the triangles.
         T_world_velo: gives poses (n, 4, 4) of the scanner at times (n,).
         time_s: reference time.
         rng: makes noise and missing echoes.
@@ -50,19 +48,19 @@ def scan(
     rays = np.einsum("aij,eaj->eai", poses[:, :3, :3], beams).astype(np.float32).reshape(-1, 3)
     starts = np.broadcast_to(poses[:, :3, 3], beams.shape).astype(np.float32).reshape(-1, 3)
     when = np.broadcast_to(times, (64, AZIMUTHS)).reshape(-1)
-    hits = scene.cast(np.ascontiguousarray(starts), rays, time_s + when)
+    hits = caster.cast(np.ascontiguousarray(starts), rays, time_s + when)
     range_m = hits.distance.astype(np.float64)
     cos = np.abs(np.einsum("ni,ni->n", hits.normal, rays))
-    kept = np.flatnonzero(np.isfinite(range_m) & (range_m > NEAR_M) & (range_m < RANGE_M))
-    triangle = hits.triangle[kept]
+    echo = np.flatnonzero(np.isfinite(range_m) & (range_m > CLOSEST_M) & (range_m < RANGE_M))
+    triangle = hits.triangle[echo]
     bright = tint[triangle].mean(axis=1)
     # Echo power falls with distance, slant and darkness; glass and gloss send it elsewhere.
-    power = (0.25 + bright) * (0.15 + cos[kept]) * np.exp(-range_m[kept] / 60.0)
+    power = (0.25 + bright) * (0.15 + cos[echo]) * np.exp(-range_m[echo] / 60.0)
     chance = LASER_RETURN[material[triangle]] * np.clip(power / 0.035, 0, 1) * 0.985
-    kept = kept[rng.random(len(kept)) < chance]
-    range_m = range_m[kept] + rng.normal(0, NOISE_M, len(kept))
-    xyz = beams.reshape(-1, 3)[kept] * range_m[:, None]
+    echo = echo[rng.random(len(echo)) < chance]
+    range_m = range_m[echo] + rng.normal(0, NOISE_M, len(echo))
+    xyz = beams.reshape(-1, 3)[echo] * range_m[:, None]
     shine = np.clip(
-        tint[hits.triangle[kept]].mean(axis=1) * (0.4 + 0.6 * cos[kept]) + rng.normal(0, 0.02, len(kept)), 0, 0.99
+        tint[hits.triangle[echo]].mean(axis=1) * (0.4 + 0.6 * cos[echo]) + rng.normal(0, 0.02, len(echo)), 0, 0.99
     )
-    return np.column_stack([xyz, shine]).astype(np.float32), when[kept]
+    return np.column_stack([xyz, shine]).astype(np.float32), when[echo]

@@ -111,10 +111,10 @@ class Light:
         street = np.clip(5 * (mirrored[:, 2] - skyline), 0, 1)[:, None]
         houses = np.float32(0.13) * GROUND_COLOUR * np.exp(0.5 * band(ring, 0.25, key, 2))[:, None]
         houses = np.where(mirrored[:, 2:] < 0, np.float32(0.16) * GROUND_COLOUR, houses)
-        seen = self.sky(mirrored) * street + houses * (1 - street)
+        reflected = self.sky(mirrored) * street + houses * (1 - street)
         glossy = np.isin(surface.material, MIRRORS)
         spot = np.clip(mirrored @ self.to_sun, 0, 1) ** 220 * glossy * surface.lit * 8
-        return seen * (strength * (0.25 + 0.75 * surface.open))[:, None] + (strength * spot)[:, None] * self._sun
+        return reflected * (strength * (0.25 + 0.75 * surface.open))[:, None] + (strength * spot)[:, None] * self._sun
 
     def haze(self, radiance: Floats, distance_m: Floats) -> Floats:
         """Mix in what the air scatters over distances (n,)."""

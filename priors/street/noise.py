@@ -9,8 +9,8 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.floating]
 SIDE = 512
 CELLS = 64
-TURN = 2.39996
-"""The golden angle: no two octaves line up."""
+GOLDEN_ANGLE_RAD = 2.39996
+"""Between one octave and the next: no two line up."""
 
 
 @cache
@@ -26,7 +26,7 @@ def tile() -> Floats:
 
 def band(uv_m: Floats, wave_m: float, key: Floats, number: int = 0) -> Floats:
     """Return noise (n,) with about wave_m between its crests, at surface places (n, 2) of surfaces with keys (n,)."""
-    angle = np.float32(number * TURN + 0.3)
+    angle = np.float32(number * GOLDEN_ANGLE_RAD + 0.3)
     scale = np.float32(SIDE / (CELLS * wave_m))
     cos, sin = np.cos(angle) * scale, np.sin(angle) * scale
     u = uv_m[:, 0] * cos - uv_m[:, 1] * sin + key * np.float32(37.17)
@@ -54,11 +54,11 @@ def octaves(
     total = np.zeros(len(uv_m), np.float32)
     for number, (wave, gain) in enumerate(zip(waves_m, gains, strict=True)):
         share = fade(wave, footprint_m)
-        seen = np.flatnonzero(share > 0.02)
-        if seen.size == len(uv_m):
+        resolved = np.flatnonzero(share > 0.02)
+        if resolved.size == len(uv_m):
             total += gain * share * band(uv_m, wave, key, number)
-        elif seen.size:
-            total[seen] += gain * share[seen] * band(uv_m[seen], wave, key[seen], number)
+        elif resolved.size:
+            total[resolved] += gain * share[resolved] * band(uv_m[resolved], wave, key[resolved], number)
     return total
 
 

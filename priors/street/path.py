@@ -13,7 +13,7 @@ from priors.types import Matrix
 
 Values = npt.NDArray[np.floating]
 BEHIND_M = 60.0
-STEP_M = 0.25
+CURVE_STEP_M = 0.25
 
 
 class Path:
@@ -21,7 +21,7 @@ class Path:
 
     def __init__(self, config: StreetConfig) -> None:
         rng = np.random.default_rng([config.seed, 2])
-        self._s = np.arange(-BEHIND_M - 20, config.length_m + 900, STEP_M)
+        self._s = np.arange(-BEHIND_M - 20, config.length_m + 900, CURVE_STEP_M)
         phase = rng.uniform(0, 2 * np.pi, 3)
         wave = 2 * np.pi / config.bend_wave_m
         heading = config.bend_rad * (np.sin(wave * self._s + phase[0]) + 0.5 * np.sin(0.41 * wave * self._s + phase[1]))
@@ -33,7 +33,7 @@ class Path:
         self._table = np.stack([self._x, self._y, self._z, np.cos(heading), np.sin(heading)], axis=-1)
 
     def _integrate(self, rate: Values) -> Values:
-        total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * STEP_M)])
+        total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * CURVE_STEP_M)])
         return total - np.interp(0.0, self._s, total)
 
     def heading_rad(self, s_m: npt.ArrayLike) -> Values:
@@ -47,7 +47,7 @@ class Path:
     def bend(self, street_m: Values) -> Values:
         """Map street coordinates (..., 3) to the world."""
         s, t, z = np.moveaxis(np.asarray(street_m, dtype=np.float64), -1, 0)
-        place = (s - self._s[0]) / STEP_M
+        place = (s - self._s[0]) / CURVE_STEP_M
         low = np.clip(place.astype(np.int64), 0, len(self._s) - 2)
         share = (place - low)[..., None]
         # One gather for all five: much faster than np.interp for millions of corners.

@@ -5,7 +5,7 @@ import numpy.typing as npt
 
 from priors.street import mesh
 from priors.street.materials import Material
-from priors.street.mesh import Mesh
+from priors.street.mesh import Finish, Mesh
 
 CLOTHES = np.array(
     [
@@ -40,11 +40,13 @@ def person(rng: np.random.Generator) -> Mesh:
     for side in (1, -1):
         foot, hand = [side * stride, side * 0.10, 0.0], [-side * 0.8 * stride, side * 0.24, 0.45 * height]
         parts += [
-            mesh.tube(foot, [0, side * 0.08, hip], (0.06, 0.09), Material.CLOTH, trousers, key),
+            mesh.tube(foot, [0, side * 0.08, hip], (0.06, 0.09), Finish(Material.CLOTH, trousers, key)),
             mesh.box(
-                [foot[0] - 0.08, foot[1] - 0.05, 0], [foot[0] + 0.17, foot[1] + 0.05, 0.09], Material.CLOTH, [0.02] * 3
+                [foot[0] - 0.08, foot[1] - 0.05, 0],
+                [foot[0] + 0.17, foot[1] + 0.05, 0.09],
+                Finish(Material.CLOTH, [0.02] * 3),
             ),
-            mesh.tube(hand, [0, side * 0.2, shoulder], (0.04, 0.06), Material.CLOTH, jacket, key),
+            mesh.tube(hand, [0, side * 0.2, shoulder], (0.04, 0.06), Finish(Material.CLOTH, jacket, key)),
         ]
     return mesh.merge(parts)
 
@@ -54,4 +56,4 @@ def _figure(profile: npt.NDArray[np.floating], height: float, tint: npt.ArrayLik
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     flat = profile[:, None, 1:] * circle
     z = np.broadcast_to(profile[:, :1, None] * height, (*flat.shape[:2], 1))
-    return mesh.loft(np.concatenate([flat, z], axis=2), Material.CLOTH, tint, key, smooth=True)
+    return mesh.loft(np.concatenate([flat, z], axis=2), Finish(Material.CLOTH, tint, key), smooth=True)

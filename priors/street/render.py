@@ -12,7 +12,7 @@ from priors.street.light import Light, Surface, develop
 from priors.street.materials import CURVED, LAST_GROUND
 from priors.street.openness import Openness
 from priors.street.patch import Patch
-from priors.street.scene import Hits, Scene
+from priors.street.raycast import Hits, RayCaster
 from priors.street.textures import albedo
 from priors.street.world import World
 from priors.types import Camera, FloatMap, Image, Mask, Matrix
@@ -27,7 +27,7 @@ NEAR_DEPTHS = 1.04
 
 
 @dataclass(frozen=True, slots=True)
-class View:
+class StreetView:
     """What a camera sees: image, and the truth at the pixels' centres."""
 
     image: Image
@@ -38,11 +38,11 @@ class View:
     """(h, w) True where the pixel's centre sees sky."""
 
 
-class Renderer:
+class StreetRenderer:
     """Draws views of one world."""
 
-    def __init__(self, world: World, scene: Scene) -> None:
-        self._config, self._scene = world.config, scene
+    def __init__(self, world: World, caster: RayCaster) -> None:
+        self._config, self._caster = world.config, caster
         meshes = [world.still, *(body.mesh for body in world.bodies)]
         self._uv = np.concatenate([m.uv for m in meshes])
         self._normal = np.concatenate([m.normal for m in meshes])
@@ -50,13 +50,13 @@ class Renderer:
         self._tint = np.concatenate([m.tint for m in meshes])
         self._key = np.concatenate([m.key for m in meshes])
         self._light = Light(world.config)
-        self._openness = Openness(world.config, world.path, scene)
+        self._openness = Openness(world.config, world.path, caster)
 
     def surfaces(self) -> tuple[npt.NDArray[np.uint8], Floats]:
-        """Return material (n,) and tint (n, 3) of the scene's triangles."""
+        """Return material (n,) and tint (n, 3) of the triangles."""
         return self._material, self._tint
 
-    def view(self, T_world_cam: Matrix, camera: Camera, time_s: float, rng: np.random.Generator) -> View:
+    def view(self, T_world_cam: Matrix, camera: Camera, time_s: float, rng: np.random.Generator) -> StreetView:
         """Draw what a camera at a pose sees at a time; rng makes the sensor's noise."""
         directions = geometry.rays(camera).astype(np.float32).reshape(-1, 3)
         pixel = 1.0 / camera.fx
@@ -71,7 +71,7 @@ class Renderer:
             shown[edges] = total / np.float32(len(SUBPIXELS) + 1)
         depth = np.where(np.isfinite(hits.distance), hits.distance, np.float32(0)).reshape(camera.size)
         image = self._sensor(shown.reshape(*camera.size, 3), rng)
-        return View(image, depth, (hits.triangle < 0).reshape(camera.size))
+        return StreetView(image, depth, (hits.triangle < 0).reshape(camera.size))
 
     def _look(
         self, directions: Floats, T_world_cam: Matrix, time_s: float, pixel: float
@@ -79,7 +79,7 @@ class Renderer:
         """Follow rays (n, 3), camera axes: what they meet, the light (n, 3) they bring, the share of sun (n,) there."""
         rays = directions @ T_world_cam[:3, :3].T.astype(np.float32)
         origin = T_world_cam[:3, 3].astype(np.float32)
-        hits = self._scene.cast(origin[None], rays, time_s)
+        hits = self._caster.cast(origin[None], rays, time_s)
         radiance, lit = self._radiance(origin, rays, hits, time_s, pixel)
         # Clipped before averaging, or a bright sky would eat thin things against it.
         return hits, np.minimum(radiance, WHITE), lit
@@ -104,10 +104,10 @@ class Renderer:
         length = np.sqrt(np.einsum("ni,ni->n", rays, rays))
         unit = rays / length[:, None]
         out, lit = np.empty((len(rays), 3), np.float32), np.zeros(len(rays), np.float32)
-        seen, empty = np.flatnonzero(hits.triangle >= 0), np.flatnonzero(hits.triangle < 0)
-        out[empty] = self._light.sky(unit[empty])
-        triangle, view, flat, weights = hits.triangle[seen], unit[seen], hits.normal[seen], hits.weights[seen]
-        range_m = hits.distance[seen] * length[seen]
+        solid, sky = np.flatnonzero(hits.triangle >= 0), np.flatnonzero(hits.triangle < 0)
+        out[sky] = self._light.sky(unit[sky])
+        triangle, view, flat, weights = hits.triangle[solid], unit[solid], hits.normal[solid], hits.weights[solid]
+        range_m = hits.distance[solid] * length[solid]
         place = origin + view * range_m[:, None]
         grazing = np.maximum(np.abs(np.einsum("ni,ni->n", flat, view)), 0.02)
         footprint = (range_m * np.float32(pixel) / np.sqrt(grazing)).astype(np.float32)
@@ -116,10 +116,10 @@ class Renderer:
             self._blend(self._uv, triangle, weights), self._key[triangle], self._tint[triangle], footprint, self._config
         )
         normal = self._smooth(triangle, weights, flat, material)
-        lit[seen] = self._lit(place + flat * np.float32(0.01), normal, time_s)
+        lit[solid] = self._lit(place + flat * np.float32(0.01), normal, time_s)
         open_ = self._openness.at(place, flat)
-        surface = Surface(albedo(material, patch), material, normal, view, lit[seen], open_)
-        out[seen] = self._light.haze(self._light.shade(surface), range_m)
+        surface = Surface(albedo(material, patch), material, normal, view, lit[solid], open_)
+        out[solid] = self._light.haze(self._light.shade(surface), range_m)
         return out, lit
 
     def _blend(self, table: Floats, triangle: npt.NDArray[np.int32], weights: Floats) -> Floats:
@@ -145,7 +145,7 @@ class Renderer:
         """Return 1 where the sun reaches a place, 0 in shadow."""
         lit = np.zeros(len(place), np.float32)
         facing = np.flatnonzero(normal @ self._light.to_sun > 0)
-        dark = self._scene.blocked(np.ascontiguousarray(place[facing]), self._light.to_sun, time_s)
+        dark = self._caster.blocked(np.ascontiguousarray(place[facing]), self._light.to_sun, time_s)
         lit[facing[~dark]] = 1.0
         return lit
 

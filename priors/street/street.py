@@ -1,4 +1,4 @@
-"""A street to look at: pictures with truth from any pose, and the rig's own drive through it."""
+"""A procedural street: pictures with truth from any pose, and the rig's own drive through it."""
 
 import numpy as np
 import numpy.typing as npt
@@ -7,8 +7,8 @@ from priors import geometry
 from priors.street import lidar, rig
 from priors.street.config import StreetConfig
 from priors.street.path import Ego
-from priors.street.render import Renderer, View
-from priors.street.scene import Scene
+from priors.street.raycast import RayCaster
+from priors.street.render import StreetRenderer, StreetView
 from priors.street.world import World
 from priors.types import Camera, FloatMap, Image, Mask, Matrix
 
@@ -23,8 +23,8 @@ class Street:
         self.config = config or StreetConfig.draw(seed, length_m)
         self.world = World(self.config)
         self.ego = Ego(self.config, self.world.path)
-        self.scene = Scene(self.world.still, self.world.bodies)
-        self._renderer = Renderer(self.world, self.scene)
+        self.caster = RayCaster(self.world.still, self.world.bodies)
+        self._renderer = StreetRenderer(self.world, self.caster)
 
     def T_world_cam(self, time_s: float) -> Matrix:
         """Return the left camera's pose (4, 4) on the rig's drive."""
@@ -36,7 +36,7 @@ class Street:
         T: Matrix = self.ego.T_world_rig(time_s) @ geometry.invert(rig.FACING) @ rig.T_left_velo()
         return T
 
-    def view(self, T_world_cam: Matrix, camera: Camera, time_s: float = 0.0, noise_seed: int = 0) -> View:
+    def view(self, T_world_cam: Matrix, camera: Camera, time_s: float = 0.0, noise_seed: int = 0) -> StreetView:
         """Draw what a camera sees from any pose (4, 4), at the time that decides where the traffic is."""
         rng = np.random.default_rng([self.config.seed, 7, noise_seed])
         return self._renderer.view(T_world_cam, camera, time_s, rng)
@@ -53,8 +53,8 @@ class Street:
         """Measure one LiDAR turn on the rig's drive: points (n, 4) x y z reflectance, times (n,); see lidar.scan."""
         rng = np.random.default_rng([self.config.seed, 8, noise_seed])
         material, tint = self.surfaces()
-        return lidar.scan(self.scene, material, tint, self.T_world_velo, time_s, rng)
+        return lidar.scan(self.caster, material, tint, self.T_world_velo, time_s, rng)
 
     def surfaces(self) -> tuple[npt.NDArray[np.uint8], Floats]:
-        """Return material (n,) and tint (n, 3) of the scene's triangles, as `lidar.scan` wants them."""
+        """Return material (n,) and tint (n, 3) of the world's triangles, as `lidar.scan` wants them."""
         return self._renderer.surfaces()

@@ -9,15 +9,15 @@ import numpy.typing as npt
 from priors.street import buildings, cars, furniture, ground, mesh, people, plants
 from priors.street.config import KERB_HEIGHT_M, KERB_M, StreetConfig
 from priors.street.materials import Material
-from priors.street.mesh import Mesh
+from priors.street.mesh import Finish, Mesh
 from priors.street.path import BEHIND_M, Path
-from priors.street.scene import Body
+from priors.street.raycast import Body
 
 Values = npt.NDArray[np.floating]
 PROTOTYPES = 7
 GAP_M = 9.0
 FINE_LEAVES_M = 16.0
-CHUNK = 100_000
+CORNERS_AT_ONCE = 100_000
 HILL_TINT = [0.05, 0.07, 0.04]
 
 
@@ -40,8 +40,8 @@ class World:
         self.bodies = self._traffic()
 
     def _bend(self, straight: Mesh) -> Mesh:
-        parts = range(0, len(straight), CHUNK)
-        corners = [self.path.bend(straight.corners[i : i + CHUNK]).astype(np.float32) for i in parts]
+        parts = range(0, len(straight), CORNERS_AT_ONCE)
+        corners = [self.path.bend(straight.corners[i : i + CORNERS_AT_ONCE]).astype(np.float32) for i in parts]
         heading = self.path.heading_rad(straight.corners[:, 0, 0]).astype(np.float32)[:, None]
         cos, sin = np.cos(heading), np.sin(heading)
         x, y, z = np.moveaxis(straight.normal, -1, 0)
@@ -169,7 +169,9 @@ class World:
             tint = buildings.PLASTER_TINTS[rng.integers(12)] * rng.uniform(0.5, 0.9)
             parts.append(
                 mesh.box(
-                    [s, side * t, -4], [s + w, side * t + rng.uniform(8, 20), h], Material.FAR, tint, rng.uniform(0, 99)
+                    [s, side * t, -4],
+                    [s + w, side * t + rng.uniform(8, 20), h],
+                    Finish(Material.FAR, tint, rng.uniform(0, 99)),
                 )
             )
         x = np.arange(-900, self.config.length_m + 810, 30.0)
@@ -179,7 +181,7 @@ class World:
         height = 14 + 10 * np.sin(y / 170 + rng.uniform(0, 6)) + 6 * np.sin(y / 61) + rng.uniform(0, 5, len(y))
         end = np.full_like(y, self.config.length_m + 780)
         crest = np.stack([np.stack([end, y, z], axis=1) for z in (np.full_like(y, -5), height)])
-        parts.append(mesh.loft(crest, Material.FAR, HILL_TINT, 9.0))
+        parts.append(mesh.loft(crest, Finish(Material.FAR, HILL_TINT, 9.0)))
         return parts
 
     def _traffic(self) -> list[Body]:
@@ -216,4 +218,4 @@ def _moving(path: Path, start_m: float, speed_mps: float, t_m: float, up_m: floa
 def _ridge(rng: np.random.Generator, s: Values, t: float) -> Mesh:
     height = 18 + 9 * np.sin(s / 190 + rng.uniform(0, 6)) + 5 * np.sin(s / 67) + rng.uniform(0, 4, len(s))
     crest = np.stack([np.stack([s, np.full_like(s, t), z], axis=1) for z in (np.full_like(s, -5), height)])
-    return mesh.loft(crest, Material.FAR, HILL_TINT, 8.0)
+    return mesh.loft(crest, Finish(Material.FAR, HILL_TINT, 8.0))

@@ -26,10 +26,10 @@ from priors.types import FloatMap, Matrix
 
 Floats = npt.NDArray[np.floating]
 DATE = "street"
-VERSION = 2
+STREET_VERSION = 2
 """Counts changes of what a seed looks like: a drive begun by another version is not continued."""
-SIGHT_M = 330.0
-CAMERAS = ("image_02", "image_03")
+VISIBLE_M = 330.0
+PAIR_CAMERAS = ("image_02", "image_03")
 
 
 def write_street(
@@ -59,14 +59,14 @@ def write_street(
     if frames < 1 or min(size) < 16:
         raise DataError(f"street: {frames} frames of {size[1]}x{size[0]}: expected at least 1 frame of 16x16")
     drive = Path(out) / DATE / f"street_{seed:04d}_sync"
-    _claim(drive, {"version": VERSION, "seed": seed, "frames": frames, "size": list(size)})
+    _claim(drive, {"version": STREET_VERSION, "seed": seed, "frames": frames, "size": list(size)})
     todo = [number for number in range(frames) if not _marker(drive, number).exists()]
     for number in sorted(set(range(frames)) - set(todo)):
         _tell(on_frame, number)
     if not todo:
         return drive
     speed_mps = StreetConfig.draw(seed).speed_mps
-    street = Street(seed, length_m=SIGHT_M + 1.1 * frames * FRAME_S * speed_mps)
+    street = Street(seed, length_m=VISIBLE_M + 1.1 * frames * FRAME_S * speed_mps)
     kitti.write_calibration(drive.parent, rig.camera(size))
     _write_way(drive, street, frames)
     with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
@@ -94,11 +94,11 @@ def _claim(drive: Path, wanted: dict[str, object]) -> None:
     path = drive / "street.json"
     if path.exists():
         try:
-            found = json.loads(path.read_text())
+            record = json.loads(path.read_text())
         except ValueError:
-            found = None
-        if found != wanted:
-            raise DataError(f"{path}: holds another street ({found}, wanted {wanted}): remove it or choose another OUT")
+            record = None
+        if record != wanted:
+            raise DataError(f"{path}: holds another street ({record}, not {wanted}): remove it or choose another OUT")
     else:
         codecs.write_bytes(path, (json.dumps(wanted) + "\n").encode())
 
@@ -115,7 +115,7 @@ def _write_way(drive: Path, street: Street, frames: int) -> None:
     for number, line in enumerate(kitti.oxts_lines(T_world_imu, street.config.speed_mps)):
         codecs.write_bytes(drive / "oxts" / "data" / f"{number:010d}.txt", line.encode())
     stamps = kitti.timestamps(times).encode()
-    for folder in (*CAMERAS, "velodyne_points", "oxts"):
+    for folder in (*PAIR_CAMERAS, "velodyne_points", "oxts"):
         codecs.write_bytes(drive / folder / "timestamps.txt", stamps)
 
 

@@ -16,8 +16,7 @@ import numpy as np
 from eval.protocol import preset
 from eval.result import Result, score
 from eval.table import show
-from priors.codecs import write_image
-from priors.draw.plot import Line, plot
+from priors.draw.lines import Line, Plot, write
 from priors.drives import open_drive
 from priors.errors import DataError
 from priors.geometry import invert, rays, transform
@@ -76,7 +75,7 @@ def fills(weights: Path | None) -> dict[str, Fill]:
     except DataError as error:
         print(f"without the network: {error}")
     else:
-        found["mffnet"] = lambda frame, image, sparse_m: network.mend(sparse_m, image, frame.camera, frame.T_cam_lidar)
+        found["mffnet"] = lambda frame, image, sparse_m: network.fill(sparse_m, image, frame.camera, frame.T_cam_lidar)
     return found
 
 
@@ -103,18 +102,17 @@ def score_all(held: list, methods: dict[str, Fill], every: int = 1) -> list[Resu
     return results
 
 
-def draw(lines: list[int], errors: dict[str, list[float]]) -> np.ndarray:
-    """Plot error over the number of lines, both as powers of two."""
-    steps = np.log2(lines)
-    curves = [Line(name, steps, np.array(values)) for name, values in errors.items()]
-    return plot(curves, "scan lines, 2^x", "AbsRel, %", "completion")
+def draw(lines: list[int], errors: dict[str, list[float]]) -> Plot:
+    """Plot error over the number of lines."""
+    curves = [Line(name, np.array(lines), np.array(values)) for name, values in errors.items()]
+    return Plot(curves, "scan lines", "AbsRel, %", "completion of fewer scan lines", x_scale="log")
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("drive", nargs="?", type=Path, default=DRIVE)
     parser.add_argument("--weights", type=Path, help="of the network, instead of those that ship")
-    parser.add_argument("--plot", type=Path, help="PNG to write error against scan lines to")
+    parser.add_argument("--plot", type=Path, help=".png, .svg or .pdf to write error against scan lines to")
     parser.add_argument("--rounds", type=int, default=6, help="of timing; 0: none")
     given = parser.parse_args()
     drive = open_drive(given.drive)
@@ -135,7 +133,7 @@ def main() -> None:
             cells.append(f"{name} {figures['abs_rel']:.4f} {figures['rmse']:.3f} m {figures['mae']:.3f} m")
         print(f"{kept:3d} lines, AbsRel RMSE MAE: {', '.join(cells)}")
     if given.plot:
-        write_image(given.plot, draw(lines, errors))
+        write(given.plot, [draw(lines, errors)])
 
 
 if __name__ == "__main__":

@@ -60,6 +60,7 @@ def best(function: Callable[[], object], rounds: int = 30) -> float:
 
 def main() -> None:
     """Run the benchmark."""
+    cpu.hold_down()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=65536)
     parser.add_argument("--rounds", type=int, default=5)

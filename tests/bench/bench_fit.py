@@ -41,8 +41,7 @@ def main() -> None:
     write_street(options.folder / "street", 40, 7, (96, 320), workers=2)
     drive = open_drive(options.folder / "street")
     filters = Filters(sky="mask")
-    prior, method = build.prepare(drive, "stereo", Stereo(), filters, options.folder / "cache")
-    build.build(drive, prior, method, filters, build.plan(drive, prior, method.reads, build.Selection()))
+    prior = build.prepare(drive, Stereo(), filters, options.folder / "cache").run().prior
     warm = open_scene(drive, prior, SceneConfig("sparse"), options.folder / "scenes")
     with tempfile.TemporaryDirectory() as runs:
         fit(warm, FitConfig(steps=5), Path(runs) / "warm")  # compiles

@@ -23,6 +23,7 @@ LARGEST_PX = 192
 
 def main() -> None:
     """Print a table."""
+    cpu.hold_down()
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--data", type=Path, default=DATA)
     parser.add_argument("--net", nargs="+", default=["cfnet", "pcwnet"])

@@ -76,7 +76,8 @@ def link(home: Path, count: int, size: tuple[int, int]) -> None:
     (drive / "poses.txt").write_text("".join(f"1 0 0 0 0 1 0 0 0 0 1 {SPACING_M * i}\n" for i in range(count)))
     linked = open_drive(drive)
     manifest = {"format": cache.FORMAT, "key": "0" * 10, "method": "truth", "fingerprint": linked.fingerprint()}
-    prior = cache.create(home / "cache", {**manifest, "drive": {"name": linked.name, **linked.describe()}})
+    manifest["drive"] = {"name": linked.name, **linked.describe()}
+    prior = cache.create(home / "cache" / linked.name / "truth-0", manifest)
     for i, id_ in enumerate(ids):
         if i < len(street):
             truth = street[i].truth()

@@ -19,12 +19,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from scatter import Dot, scatter
+from scatter import Dot, write_scatter
 from stereo_contestants import Contestant, contestants, moved
 
 from eval.protocol import preset
 from eval.result import score
-from priors import codecs
 from priors.drives import DriveOptions, open_drive
 from priors.nets.weights import FOLDER
 from priors.types import Frame
@@ -66,7 +65,7 @@ def main() -> None:
         dots.append(Dot(name, 1e3 * float(np.median(seconds[name])), error, contestant.family))
     if all(np.isfinite(dot.error) for dot in dots):
         title = f"{drive.name}, {len(frames)} pairs, KITTI's usual offset"
-        codecs.write_image(options.plot, scatter(dots, options.error_name, title))
+        write_scatter(options.plot, dots, options.error_name, title)
         print(f"\nwrote {options.plot}")
 
 

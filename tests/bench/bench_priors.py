@@ -20,11 +20,10 @@ from typing import Literal
 import numpy as np
 from bench_completion import recipe
 from bench_networks import DRIVE, in_memory
-from scatter import Dot, scatter
+from scatter import Dot, write_scatter
 
 from eval.protocol import preset
 from eval.result import Result, score
-from priors import codecs
 from priors.drives import DriveOptions, open_drive
 from priors.errors import DataError
 from priors.methods.completion import Completion
@@ -137,7 +136,7 @@ def main() -> None:
         print(row(result, spent.get("mono")), flush=True)
         if "mono" in spent:
             dots.append(Dot(str(result.info["prior"]), spent["mono"], result.metrics("image")["abs_rel"], 4))
-    codecs.write_image(options.plot, scatter(dots, "AbsRel", f"{drive.name}, {len(frames)} frames"))
+    write_scatter(options.plot, dots, "AbsRel", f"{drive.name}, {len(frames)} frames")
     print(f"\nwrote {options.plot}")
 
 

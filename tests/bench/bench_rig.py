@@ -3,9 +3,10 @@
     python tests/bench/bench_rig.py                                     # needs ../shared/data
     python tests/bench/bench_rig.py --teacher maps/                     # and disparities of kitti_odometry pairs, .npy
 
-Each line is scale * d + a + b X + c X^2 + e X Y (priors/pairs/offset.py), fitted to all frames, and how far it moves if
-frames are drawn anew. Ego-motion: corners are tracked into the next image, and the drive's poses say how far away they
-are. The teacher's maps are those that `python -m priors.learn.teach` makes with a network fine-tuned on KITTI's truth.
+Each line is scale * d + shift + tilt X + yaw X^2 + pitch X Y (priors/pairs/rectification.py), fitted to all frames, and
+how far it moves if frames are drawn anew. Ego-motion: corners are tracked into the next image, and the drive's poses
+say how far away they are. The teacher's maps are those that `python -m priors.learn.teacher_labels` makes with a
+network that is fine-tuned on KITTI's truth.
 """
 
 import argparse
@@ -19,10 +20,10 @@ import numpy as np
 from priors import drives
 from priors.drives import DriveOptions
 from priors.geometry import invert
-from priors.learn.pseudo import find
+from priors.learn.teacher_maps import find_map
 from priors.pairs.matching import match, to_grey
-from priors.pairs.offset import Offset, Points, compare, fit_points, gather, slope
 from priors.pairs.read import read_pair
+from priors.pairs.rectification import RectificationError, Residuals, compare, compare_with_sweep, fit, join, row_slope
 from priors.types import Drive, FloatMap, Frame
 
 DATA = Path(__file__).resolve().parents[3] / "shared/data"
@@ -47,51 +48,52 @@ def main() -> None:
         drive = drives.open_drive(options.data / "kitti_odometry", options=DriveOptions(drive=sequence))
         show(f"odometry {sequence}, ego-motion", (by_motion(drive, index) for index in range(0, len(drive) - 1, STEP)))
         frames = (drive[index] for index in range(len(drive)))
-        named = ((frame, find(options.teacher, f"{sequence}_{frame.id}")) for frame in frames)
+        named = ((frame, find_map(options.teacher, f"{sequence}_{frame.id}")) for frame in frames)
         maps = [(frame, path) for frame, path in named if path is not None]
         show(f"odometry {sequence}, teacher", (by_teacher(frame, np.load(path)) for frame, path in maps))
 
 
-def show(name: str, found: Iterable[Points]) -> None:
+def show(name: str, parts: Iterable[Residuals]) -> None:
     """Print the fit to all frames, and the deviation over draws of the frames."""
-    frames = list(found)
+    frames = list(parts)
     if not frames:
         return
     rng = np.random.default_rng(0)
     draws = [rng.integers(0, len(frames), len(frames)) for _ in range(DRAWS)]
-    spread = np.std([flat(fit_points(np.concatenate([frames[i] for i in draw]))) for draw in draws], axis=0)
-    whole = flat(fit_points(np.concatenate(frames)))
+    spread = np.std([flat(fit(join([frames[i] for i in draw]))) for draw in draws], axis=0)
+    whole = flat(fit(join(frames)))
     cells = [f"{value:.3f} +-{more:.3f}" for value, more in zip(whole, spread, strict=True)]
-    print(f"{name:24} a b c e px, scale: {', '.join(cells)}  ({len(frames)} frames)", flush=True)
+    print(f"{name:24} shift tilt yaw pitch px, scale: {', '.join(cells)}  ({len(frames)} frames)", flush=True)
 
 
-def flat(offset: Offset) -> list[float]:
+def flat(error: RectificationError) -> list[float]:
     """Return the five numbers."""
-    return [*offset.field_px, offset.scale]
+    return [*error.offset_px, error.scale]
 
 
-def by_sweep(frame: Frame) -> Points:
+def by_sweep(frame: Frame) -> Residuals:
     """Gather what a frame's sweep says of the match."""
-    image, other = read_pair(frame)
-    sweep = frame.sweep()
+    pair, sweep = read_pair(frame), frame.sweep()
     assert frame.T_cam_lidar is not None and frame.baseline_m is not None and sweep is not None
-    return compare(match(image, other), image, frame.camera, frame.baseline_m, sweep, frame.T_cam_lidar)
+    matched_px = match(pair.left, pair.right)
+    return compare_with_sweep(matched_px, pair.left, frame.camera, frame.baseline_m, sweep, frame.T_cam_lidar)
 
 
-def by_teacher(frame: Frame, teacher_px: FloatMap) -> Points:
+def by_teacher(frame: Frame, teacher_px: FloatMap) -> Residuals:
     """Gather what a teacher's map says of it: every 20th pixel, neighbours tell the same."""
-    image, other = read_pair(frame)
-    matched_px = match(image, other)
-    return gather(frame.camera, teacher_px.astype(np.float32), matched_px, slope(blurred(matched_px)))[::20]
+    matched_px = read_pair(frame).match(match)
+    slope_px = row_slope(blurred(matched_px))
+    residuals = compare(frame.camera, teacher_px.astype(np.float32), matched_px, slope_px)
+    return Residuals(residuals.factors[::20], residuals.residual_px[::20])
 
 
-def by_motion(drive: Drive, index: int) -> Points:
+def by_motion(drive: Drive, index: int) -> Residuals:
     """Gather what the motion to the next frame says of it."""
     frame = drive[index]
-    image, other = read_pair(frame)
-    matched_px = match(image, other)
-    true_px = motion_disparity(frame, to_grey(image), drive[index + 1], matched_px)
-    return gather(frame.camera, true_px, matched_px, slope(blurred(matched_px)))
+    pair = read_pair(frame)
+    matched_px = match(pair.left, pair.right)
+    true_px = motion_disparity(frame, to_grey(pair.left), drive[index + 1], matched_px)
+    return compare(frame.camera, true_px, matched_px, row_slope(blurred(matched_px)))
 
 
 def blurred(matched_px: FloatMap) -> FloatMap:

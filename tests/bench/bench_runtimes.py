@@ -32,12 +32,13 @@ from stereo_contestants import sgbm
 from priors import codecs
 from priors.drives import DriveOptions, open_drive
 from priors.machine import cpu
+from priors.machine.memory import keep_freed
 from priors.methods.completion import Completion
 from priors.methods.mono import Mono
 from priors.methods.stereo import Stereo
 from priors.nets import int8, speeds
 from priors.nets.fused import available
-from priors.pairs.offset import NONE
+from priors.pairs.rectification import NONE
 from priors.types import Frame
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
@@ -103,6 +104,8 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     """Return SGBM's milliseconds and each network's times over it, after one run each that is not counted."""
     import torch
 
+    cpu.hold_down()
+    keep_freed()
     if options.processor_time:  # before anything has run on more: idle threads of OpenMP burn processor time
         torch.set_num_threads(1)
         cv2.setNumThreads(1)
@@ -158,9 +161,9 @@ def method(net: str, how: Any, frame: Frame) -> Callable[[], Any]:
     if net == "mffnet":
         completion = Completion(model="mffnet", size="s", runtime=how, source="lidar")
         sparse = completion.resolve(frame).lidar(frame).depth_m
-        return lambda: completion.mend(sparse, frame.image(), frame.camera)
+        return lambda: completion.fill(sparse, frame.image(), frame.camera)
     model: Any = net
-    stereo = Stereo(model=model, size="s", runtime=how, offset_px=NONE.field_px)
+    stereo = Stereo(model=model, size="s", runtime=how, offset_px=NONE.offset_px)
     return lambda: stereo(frame)
 
 

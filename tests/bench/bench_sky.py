@@ -11,11 +11,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from priors.learn.sky_labels import SKY, UNKNOWN, Sample, read_camvid, read_kitti, read_street
+from priors.learn.sky_labels import SKY, UNKNOWN, SkySample, read_camvid, read_kitti, read_street
 from priors.sky import sky_mask
 
 
-def score(name: str, samples: Iterable[Sample]) -> None:
+def score(name: str, samples: Iterable[SkySample]) -> None:
     """Print the pooled IoU, and missed and false sky as shares of the union; colour and grey."""
     for kind in ("colour", "grey"):
         both = missed = false = 0

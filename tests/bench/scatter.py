@@ -2,18 +2,29 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
 
-import cv2
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation
+from matplotlib.transforms import Bbox
 
-from priors.draw.panel import FAINT, INK, PAPER, text_width, write
-from priors.draw.plot import GRID, PALETTE, ticks
-from priors.types import Image
+from priors.draw.figure import COLOURS, check_name, save, styled
+from priors.draw.lines import MARKERS
 
-LEFT, RIGHT, TOP, BOTTOM = 70, 30, 44, 52
-LABEL_SCALE = 0.42
-NEAR = 3
-"""Pixels of time within which dots are above one another."""
+SIZE_IN = (7.2, 4.2)
+PLACES = tuple(
+    (step, right)
+    for steps in ((-3, 8, -14), (19, -25, 30, -36), (41, -47, 52, -58))
+    for right in (True, False)
+    for step in steps
+)
+"""Where a name may stand: its baseline above its dot, points, and on which side; the first free place is taken."""
+
+BESIDE_PX = 25
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,59 +35,64 @@ class Dot:
     milliseconds: float
     error: float
     family: int = 0
-    """Which colour; dots of one family are joined."""
+    """Which colour and marker; dots of one family are joined."""
 
 
-def scatter(dots: Sequence[Dot], error_name: str, title: str, size: tuple[int, int] = (520, 860)) -> Image:
-    """Draw the dots; size is (height, width). Lower left is better."""
-    height, width = size
-    canvas = np.full((height, width, 3), PAPER, np.uint8)
-    low = np.floor(np.log10(min(dot.milliseconds for dot in dots)) * 3) / 3
-    high = np.ceil(np.log10(max(dot.milliseconds for dot in dots) * 1.6) * 3) / 3
-    y_ticks = ticks(0.0, max(dot.error for dot in dots) * 1.05)
-
-    def at(milliseconds: float, error: float) -> tuple[int, int]:
-        x = LEFT + (np.log10(milliseconds) - low) / max(high - low, 1e-6) * (width - LEFT - RIGHT)
-        y = height - BOTTOM - error / y_ticks[-1] * (height - TOP - BOTTOM)
-        return round(float(x)), round(float(y))
-
-    for value in y_ticks:
-        x, y = at(10**low, value)
-        cv2.line(canvas, (LEFT, y), (width - RIGHT, y), GRID, 1)
-        write(canvas, f"{value:g}", (x - 8 - text_width(f"{value:g}", 0.38), y + 4), FAINT, 0.38)
-    for value in (base * 10**power for power in range(6) for base in (1, 2, 5)):
-        if low <= np.log10(value) <= high:
-            x, y = at(value, 0)
-            cv2.line(canvas, (x, TOP), (x, y), GRID, 1)
-            text = f"{value} ms" if value < 1000 else f"{value / 1000:g} s"
-            write(canvas, text, (x, y + 18), FAINT, 0.38, centred=True)
-    write(canvas, "time a pair", ((LEFT + width - RIGHT) // 2, height - 12), FAINT, centred=True)
-    write(canvas, f"{title} - {error_name}", (LEFT, 24), INK, 0.46)
-    _draw_dots(canvas, [(dot, at(dot.milliseconds, dot.error)) for dot in dots])
-    return canvas
+def write_scatter(path: Path, dots: Sequence[Dot], error_name: str, title: str) -> None:
+    """Write the dots as .png, .svg or .pdf. Lower left is better."""
+    check_name(path)
+    with styled():
+        made = Figure(figsize=SIZE_IN, layout="constrained")
+        axes = made.subplots()
+        axes.set(title=title, xlabel="time a frame", ylabel=error_name, xscale="log")
+        for family in sorted({dot.family for dot in dots}):
+            own = sorted((dot.milliseconds, dot.error) for dot in dots if dot.family == family)
+            look = {"color": COLOURS[family % len(COLOURS)], "marker": MARKERS[family % len(MARKERS)]}
+            axes.plot(*zip(*own, strict=True), linewidth=1, markersize=6, **look)
+        axes.set_ylim(0, 1.08 * max(dot.error for dot in dots))
+        _mark_times(axes, [dot.milliseconds for dot in dots])
+        made.draw_without_rendering()  # lays out the axes: labels are placed in pixels
+        _label(axes, dots)
+    save(made, path)
 
 
-def _draw_dots(canvas: Image, placed: Sequence[tuple[Dot, tuple[int, int]]]) -> None:
-    """Join each family's dots in order of time, then draw and label them.
+def _mark_times(axes: Axes, milliseconds: Sequence[float]) -> None:
+    """Let the time axis start and end at a tick of 1, 2 or 5 times a power of ten, with room for labels."""
+    marks = np.array([base * 10.0**power for power, base in product(range(-1, 6), (1, 2, 5))])
+    first = marks[marks <= min(milliseconds)].max()
+    last = marks[marks >= 1.6 * max(milliseconds)].min()
+    shown = marks[(marks >= first) & (marks <= last)]
+    axes.set_xlim(first, last)
+    axes.set_xticks(shown, [f"{mark:g} ms" if mark < 1000 else f"{mark / 1000:g} s" for mark in shown])
+    axes.minorticks_off()
 
-    Labels step aside for each other, and stand in the order of their dots where those are above one another.
+
+def _label(axes: Axes, dots: Sequence[Dot]) -> None:
+    """Write each dot's name beside it, where it covers neither another name nor a dot.
+
+    Names of dots that are one above the other stand in the order of the dots.
     """
-    families = sorted({dot.family for dot, _ in placed})
-    for family in families:
-        points = sorted(point for dot, point in placed if dot.family == family)
-        cv2.polylines(canvas, [np.array(points, np.int32)], False, PALETTE[family % len(PALETTE)], 1, cv2.LINE_AA)
-    taken: list[tuple[int, int, int, int]] = []
-    labelled: list[tuple[int, int, int]] = []
-    for dot, (x, y) in sorted(placed, key=lambda pair: pair[1]):
-        cv2.circle(canvas, (x, y), 5, PALETTE[dot.family % len(PALETTE)], -1, cv2.LINE_AA)
-        wide = round(text_width(dot.label, LABEL_SCALE))
-        left = x + 10 if x + 10 + wide < canvas.shape[1] else x - 10 - wide
-        best = next(
-            (left, y + step)
-            for step in (-8, 16, -24, 32, -40, 48, -56, 64, *range(80, 2000, 16))
-            if all(left + wide < a or left > b or y + step - 12 > d or y + step < c for a, c, b, d in taken)
-            and all(abs(x - there) > NEAR or (y - above) * (y + step - label) >= 0 for there, above, label in labelled)
-        )
-        labelled.append((x, y, best[1]))
-        taken.append((best[0], best[1] - 12, best[0] + wide, best[1] + 2))
-        write(canvas, dot.label, best, INK, LABEL_SCALE)
+    places = axes.transData.transform([(dot.milliseconds, dot.error) for dot in dots])
+    taken = [Bbox.from_extents(x - 6, y - 6, x + 6, y + 6) for x, y in places]
+    named: list[tuple[float, Bbox]] = []
+    for i in sorted(range(len(dots)), key=lambda i: -dots[i].error):
+        above = [box for x, box in named if abs(x - places[i][0]) < BESIDE_PX]
+        for step, right in PLACES:
+            text = _write(axes, dots[i], step, right)
+            box = text.get_window_extent()
+            inside = axes.bbox.x0 <= box.x0 and box.x1 <= axes.bbox.x1
+            sorted_ = all(box.y0 < other.y0 for other in above if (other.x0 > places[i][0]) == right)
+            if inside and sorted_ and not any(box.overlaps(other) for other in taken):
+                break
+            text.remove()
+        else:
+            box = _write(axes, dots[i], 0, True).get_window_extent()  # no room is left: better on top than absent
+        taken.append(box)
+        named.append((places[i][0], box))
+
+
+def _write(axes: Axes, dot: Dot, step_pt: float, right: bool) -> Annotation:
+    """Write a dot's name so many points above it, to its right or left; a white rim keeps it apart from lines."""
+    place = {"xytext": (8 if right else -8, step_pt), "textcoords": "offset points", "ha": "left" if right else "right"}
+    rim = [withStroke(linewidth=2.5, foreground="white")]
+    return axes.annotate(dot.label, (dot.milliseconds, dot.error), fontsize=8, path_effects=rim, **place)

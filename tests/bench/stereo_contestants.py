@@ -10,10 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from priors.drives._rigs import KITTI
 from priors.geometry import convert_disparity
 from priors.methods.stereo import Stereo
 from priors.pairs.matching import halve, to_grey
-from priors.pairs.offset import NONE, Offset, usual_offset
+from priors.pairs.rectification import NONE, RectificationError, usual_error
 from priors.types import Depth, Frame
 
 MEAN, SPREAD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)
@@ -36,7 +37,7 @@ def contestants(
 ) -> list[Contestant]:
     """List them, all from the images alone; ours with the weights in a folder, the peers as they are."""
     found = [Contestant("SGBM full", sgbm, 0), Contestant("SGBM half", sgbm_half, 0)]
-    found.append(Contestant("classical", Stereo(offset_px=NONE.field_px), 1))
+    found.append(Contestant("classical", Stereo(offset_px=NONE.offset_px), 1))
     for family, model in enumerate(("cfnet", "pcwnet"), start=2):
         for size in ("s", "m", "l"):
             file = folder / f"{model}-{size}.safetensors"
@@ -51,37 +52,37 @@ def contestants(
 
 
 def _ours(model: Any, size: Any, runtime: Any, file: Path) -> Stereo:
-    return Stereo(model=model, size=size, runtime=runtime, weights=file, offset_px=NONE.field_px)
+    return Stereo(model=model, size=size, runtime=runtime, weights=file, offset_px=NONE.offset_px)
 
 
 def moved(contestant: Contestant, frame: Frame) -> dict[str, Contestant]:
     """Return a matcher with KITTI's usual offset and with the one measured on a frame; PSMNet has learned KITTI's."""
-    run, usual = contestant.run, usual_offset("kitti", frame.camera)
+    run, usual = contestant.run, usual_error(KITTI, frame.camera)
     if contestant.once:
         return {}
     if isinstance(run, Stereo):
         runs: dict[str, Any] = {
-            "usual": replace(run, offset_px=usual.field_px, scale=usual.scale),
+            "usual": replace(run, offset_px=usual.offset_px, scale=usual.scale),
             "measured": replace(run, offset_px=None, scale=None).resolve(frame),
         }
     else:
-        measured = Stereo().resolve(frame).correction()
-        runs = {"usual": partial(run, offset=usual), "measured": partial(run, offset=measured)}
+        measured = Stereo().resolve(frame).rectification
+        runs = {"usual": partial(run, error=usual), "measured": partial(run, error=measured)}
     return {kind: replace(contestant, run=run) for kind, run in runs.items()}
 
 
-def sgbm(frame: Frame, offset: Offset = NONE) -> Depth:
+def sgbm(frame: Frame, error: RectificationError = NONE) -> Depth:
     """OpenCV's 3-way matcher at 192 disparities, grey; what it leaves out is left out."""
-    return _depth(frame, _match(to_grey(frame.image()), to_grey(frame.other()), 192), offset)
+    return _depth(frame, _match(to_grey(frame.image()), to_grey(frame.other()), 192), error)
 
 
-def sgbm_half(frame: Frame, offset: Offset = NONE) -> Depth:
+def sgbm_half(frame: Frame, error: RectificationError = NONE) -> Depth:
     """The same at half the size, 96 disparities; the result is doubled to full size."""
     image, other = halve(to_grey(frame.image())), halve(to_grey(frame.other()))
     height, width = frame.camera.size
     half = _match(image, other, 96)
     doubled = 2 * cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=0)
-    return _depth(frame, doubled[:height, :width], offset)
+    return _depth(frame, doubled[:height, :width], error)
 
 
 def _match(image: Any, other: Any, count: int) -> Any:
@@ -89,9 +90,9 @@ def _match(image: Any, other: Any, count: int) -> Any:
     return np.maximum(matcher.compute(image, other).astype(np.float32) / 16, 0)
 
 
-def _depth(frame: Frame, matched_px: Any, offset: Offset = NONE) -> Depth:
+def _depth(frame: Frame, matched_px: Any, error: RectificationError = NONE) -> Depth:
     assert frame.baseline_m is not None
-    disparity_px = np.where(matched_px > 0, np.maximum(offset.correct(matched_px, frame.camera), 1.0), 0)
+    disparity_px = np.where(matched_px > 0, np.maximum(error.correct(matched_px, frame.camera), 1.0), 0)
     return Depth(convert_disparity(disparity_px.astype(np.float32), frame.camera.fx, frame.baseline_m))
 
 

@@ -12,7 +12,7 @@ import torch
 
 from eval.image import ImageScore
 from eval.protocol import preset
-from eval.result import score_frame
+from eval.result import Comparison, score_frame
 from nerf.config import FitConfig
 from nerf.fit import Status, fit
 from nerf.losses import LossConfig
@@ -119,7 +119,7 @@ def score(scene: Scene, model: Model, pack: Path, out: Path) -> dict[str, float]
         psnr.append(-10 * np.log10(scored.mse))
         ssim.append(scored.ssim_uniform7)
         truth_m = codecs.read_depth_png(truth_path(pack, scene.ids[position]))
-        row = score_frame(scene.ids[position], view.depth_m, None, truth_m, rules)
+        row = score_frame(Comparison(scene.ids[position], view.depth_m, None, truth_m), rules)
         abs_rel.append(row.metrics()["abs_rel"])
         if position == scene.test[len(scene.test) // 2]:
             codecs.write_image(out / "view.png", _picture(image, view))

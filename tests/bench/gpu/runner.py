@@ -14,6 +14,7 @@ from collections import deque
 from pathlib import Path
 from typing import IO, Any
 
+from eval.files import write_bytes
 from tests.bench.gpu.parts import PARTS, Part, find
 from tests.bench.gpu.summary import markdown
 
@@ -41,9 +42,7 @@ class Book:
                 ("results.json", json.dumps(self.record, indent=1) + "\n"),
                 ("summary.md", markdown(self.record)),
             ):
-                new = self.out / f".{name}"
-                new.write_text(text)
-                new.replace(self.out / name)
+                write_bytes(self.out / name, text.encode())
 
     def log(self, line: str) -> None:
         """Keep a line that a part printed."""

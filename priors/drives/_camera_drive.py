@@ -1,0 +1,144 @@
+"""A drive as one camera sees it: what the readers of all data sets share."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+from priors import codecs
+from priors.drives._files import check_baseline, check_size, digest, read_sized
+from priors.errors import DataError
+from priors.types import Camera, Depth, Frame, Matrix, Rig
+
+Readers = dict[str, Callable[..., Any]]
+
+
+class CameraDrive(ABC):
+    """A folder's frames from one camera.
+
+    A data set's reader sets the fields below in its `__init__`, and gives what its frames have beyond images and maps
+    by the methods that it overrides. Frame ids are the keys of `images`, in time order.
+    """
+
+    pairs: ClassVar[tuple[tuple[str, str], ...]] = ()
+    """Left and right camera of each rectified stereo pair of the data set."""
+    usual_camera: ClassVar[str] = ""
+    """The camera that the drive's name does not mention."""
+
+    images: Mapping[str, Path]
+    """Frame id -> image file."""
+    others: Mapping[str, Path]
+    """Frame id -> image file of the pair's other camera; empty without one."""
+    maps: Mapping[str, Mapping[str, Path]]
+    """truth and sparse -> frame id -> depth map, metres; see codecs.read_float_map."""
+    camera: Camera
+    """Of the images as the frames show them."""
+    baseline_m: float | None
+    """Distance to the pair's other camera, metres, > 0."""
+    rig: Rig | None
+    """The car, where the error of its rectification is known."""
+
+    def __init__(self, folder: Path, camera_name: str, truth: Path | None = None) -> None:
+        self.folder, self.camera_name, self.truth = folder, camera_name, truth
+        self.others, self.maps, self.baseline_m, self.rig = {}, {}, None, None
+
+    @property
+    def name(self) -> str:
+        """The folder's name, and the camera's unless it is the usual one."""
+        usual = self.camera_name == self.usual_camera
+        return self.folder.name if usual else f"{self.folder.name}-{self.camera_name}"
+
+    @cached_property
+    def ids(self) -> Sequence[str]:
+        """Frame ids in time order."""
+        return list(self.images)
+
+    @property
+    def partner(self) -> str | None:
+        """The pair's other camera; None for a camera of no pair."""
+        names = next((names for names in self.pairs if self.camera_name in names), None)
+        return None if names is None else names[1 - names.index(self.camera_name)]
+
+    @property
+    def side(self) -> Literal["left", "right"]:
+        """Which eye of the pair this camera is; left for a camera of no pair."""
+        return "right" if any(self.camera_name == right for _, right in self.pairs) else "left"
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest records and `reopen` needs."""
+        truth = None if self.truth is None else str(Path(self.truth).resolve())
+        dataset = type(self).__module__.rpartition(".")[2]
+        return {"dataset": dataset, "path": str(self.folder.absolute()), "camera": self.camera_name, "truth": truth}
+
+    def fingerprint(self) -> str:
+        """Digest the first image and what places the images: calibration and poses."""
+        return digest([*self.sources(), self.images[self.ids[0]]])
+
+    def scans(self) -> dict[str, list[str]]:
+        """List the frame ids that each kind of file has, for the audit; a kind without files is not missed."""
+        return {"other": list(self.others), **{what: list(paths) for what, paths in self.maps.items()}}
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def __getitem__(self, index: int) -> Frame:
+        id_ = self.ids[index]
+        return Frame(
+            id=id_,
+            camera=self.camera,
+            readers=self.readers(id_),
+            missing=self.missing(id_),
+            T_world_cam=self.T_world_cam(id_),
+            T_cam_lidar=self.T_cam_lidar(id_),
+            time_s=self.time_s(id_),
+            baseline_m=self.baseline_m,
+            side=self.side,
+            rig=self.rig,
+        )
+
+    @abstractmethod
+    def sources(self) -> list[Path]:
+        """List the files of calibration and poses."""
+
+    def readers(self, id_: str) -> Readers:
+        """Return what can be read of a frame (see Frame.readers), each by a function that reads files when called."""
+        readers: Readers = {"image": partial(read_sized, self.images[id_], self.camera)}
+        if id_ in self.others:
+            readers["other"] = partial(read_sized, self.others[id_], self.camera)
+        for what, paths in self.maps.items():
+            if id_ in paths:
+                readers[what] = partial(self.read_map, paths[id_])
+        return readers
+
+    def missing(self, id_: str) -> dict[str, str]:
+        """Say of what a frame lacks why it is not there and what to do, one line each."""
+        return {}
+
+    def T_world_cam(self, id_: str) -> Matrix | None:
+        """Return a frame's pose (4, 4), metres; None where the drive has none."""
+        return None
+
+    def T_cam_lidar(self, id_: str) -> Matrix | None:
+        """Return the LiDAR's place (4, 4) at a frame, metres; None without a LiDAR."""
+        return None
+
+    def time_s(self, id_: str) -> float | None:
+        """Return seconds since the drive's first frame; None where they are not known."""
+        return None
+
+    def read_map(self, path: Path) -> Depth:
+        """Read a depth map that must have the camera's size."""
+        return Depth(check_size(codecs.read_float_map(path), path, self.camera))
+
+    def paired_camera(self) -> str:
+        """Return the pair's other camera, for data sets whose cameras all have one; else DataError names them."""
+        if self.partner is None:
+            names = ", ".join(name for pair in self.pairs for name in pair)
+            raise DataError(f"{self.folder}: no camera {self.camera_name!r}: choose one of {names}")
+        return self.partner
+
+    def baseline(self, partner_right_m: float, calibration: Path) -> float:
+        """Return the baseline of a pair whose other camera stands partner_right_m to the right of this one, metres."""
+        baseline_m = partner_right_m if self.side == "left" else -partner_right_m
+        return check_baseline(baseline_m, f"from {self.camera_name} to {self.partner}", calibration)

@@ -1,0 +1,66 @@
+"""The shape of the code: functions that can be called without looking up what goes where."""
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+MOST_PARAMETERS = 6
+NOT_YET: set[str] = {
+    "nerf/report.py: report",
+    "nerf/sample.py: guided",
+    "nerf/sample.py: resample",
+    "nerf/scene.py: _copy_maps",
+    "nerf/scene.py: _prepare_prior",
+    "nerf/scene.py: open_scene",
+    "nerf/twin/sample.py: pack",
+    "nerf/twin/sample.py: resample",
+}
+"""Functions that still have more; none may be added."""
+
+
+def sources() -> list[Path]:
+    """Return our files outside the kernels: those are called by one function each, with arrays."""
+    files = [path for top in ("eval", "priors", "nerf", "cli") for path in sorted((ROOT / top).rglob("*.py"))]
+    return [path for path in files if "kernels" not in path.relative_to(ROOT).parts]
+
+
+def functions(path: Path) -> Iterator[tuple[str, int]]:
+    """Give each function of a file and how many parameters it has, without self."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            given = node.args
+            names = [argument.arg for argument in (*given.posonlyargs, *given.args, *given.kwonlyargs)]
+            yield f"{path.relative_to(ROOT)}: {node.name}", len(names) - (names[:1] in (["self"], ["cls"]))
+
+
+def test_no_function_has_more_parameters_than_one_remembers() -> None:
+    many = {name for path in sources() for name, count in functions(path) if count > MOST_PARAMETERS}
+    assert not many - NOT_YET, f"more than {MOST_PARAMETERS} parameters: make some of them one thing"
+    assert not NOT_YET - many, "these have fewer by now: take them off the list"
+
+
+def test_settings_are_found_by_their_names() -> None:
+    """No door by name: what may be missing is a method of the base class, with a default."""
+    doors = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in sources()
+        if path.relative_to(ROOT).parts[:2] in (("priors", "methods"), ("priors", "pairs"))
+        or path.name in ("build.py", "naming.py", "score.py", "filters.py", "check.py")
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id in ("hasattr", "getattr")
+    ]
+    assert not doors
+
+
+def test_checks_are_not_assertions() -> None:
+    """`python -O` drops assertions: what must hold is checked with a message, or said by a type."""
+    rooms = ("priors/methods", "priors/pairs", "priors/build", "priors/selection", "priors/score", "priors/check")
+    left = [
+        f"{path.relative_to(ROOT)}:{node.lineno}"
+        for path in sources()
+        if str(path.relative_to(ROOT)).startswith(rooms)
+        for node in ast.walk(ast.parse(path.read_text()))
+        if isinstance(node, ast.Assert)
+    ]
+    assert not left
