@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nerf.export import CloudConfig, cells_of, write_cloud, write_mesh
-from nerf.pictures import RenderedView
+from nerf.types import RenderedView
 from nerf.video import VideoConfig, interpolate, write_video
 from priors.errors import DataError
 from priors.types import Camera
