@@ -13,7 +13,8 @@ from typing import Any
 import pytest
 import tyro
 
-from cli import nerf, priors, train
+from cli import nerf, priors
+from cli.priors import train
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
@@ -52,7 +53,7 @@ def documented() -> list[str]:
     found = [line for text in texts for block in blocks(text) for line in commands(block)]
     for program in PROGRAMS.values():
         found += commands(program.examples)
-        for module, _ in program.commands.values():
+        for module in (f"cli.{program.name}.{command}" for command in program.commands):
             found += commands(import_module(module).EXAMPLES)
     return sorted(set(found))
 
@@ -67,7 +68,7 @@ def test_every_documented_command_is_understood(line: str, monkeypatch: pytest.M
     if program == "python":
         understand_module(*arguments, monkeypatch=monkeypatch)
         return
-    module = import_module(PROGRAMS[program].commands[name][0])
+    module = import_module(f"cli.{program}.{name}")
     parse = module.parse
 
     def stop(*given: object) -> None:

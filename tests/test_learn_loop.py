@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from cli.train import StereoArguments, started_from
+from cli.priors.train import StereoArguments, started_from
 from priors.adapt.finetune import AdaptConfig
 from priors.adapt.training_step import Batch
 from priors.errors import DataError
