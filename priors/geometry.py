@@ -4,12 +4,15 @@ Frames: `T_a_b` maps points from b to a. Pixels: the centre of the top-left pixe
 `depth_m` is the camera's z, `range_m` the distance along the ray, `disparity_px` the column shift.
 """
 
+from typing import TypeVar
+
 import numpy as np
 import numpy.typing as npt
 
 from priors.types import Camera, FloatMap, Matrix, Sweep
 
 Points = npt.NDArray[np.floating]
+Kind = TypeVar("Kind", bound=np.generic)
 
 
 def transform(T_a_b: Matrix, xyz_b: Points) -> Points:
@@ -91,6 +94,18 @@ def crop(camera: Camera, top: int, left: int, size: tuple[int, int]) -> Camera:
     K[0, 2] -= left
     K[1, 2] -= top
     return Camera(K, size)
+
+
+def mirror(camera: Camera) -> Camera:
+    """Return the camera whose image is this one's, mirrored from left to right: see `mirror_columns`."""
+    K = camera.K.copy()
+    K[0, 2] = camera.size[1] - 1 - K[0, 2]
+    return Camera(K, camera.size)
+
+
+def mirror_columns(map_: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
+    """Mirror an image or a map (height, width, ...) from left to right."""
+    return np.ascontiguousarray(map_[:, ::-1])
 
 
 def scatter_nearest(uv_px: Points, depth_m: Points, size: tuple[int, int]) -> FloatMap:

@@ -1,4 +1,4 @@
-"""Beside a process that burns a core two threads are never slower than one: nobody spins or waits for a fixed share."""
+"""Beside a process that burns a core, two threads take no more CPU time than one: nobody spins while another works."""
 
 import statistics
 import subprocess
@@ -17,10 +17,8 @@ from priors.nets import runtime
 
 pytestmark = pytest.mark.skipif(threads.available() < 2, reason="one core: there is nothing to share")
 ROUNDS = 9
-SLACK = 1.25
-"""The machine's own noise; threads that spin were 6 times slower."""
-TRIES = 6
-"""A neighbour on the host can take a core for a second. Threads that spin are slower in every try."""
+SLACK = 2.0
+"""Two threads that share the work count a few per cent more; torch's own, which spin, counted 22 times as much."""
 
 
 @contextmanager
@@ -34,26 +32,22 @@ def burning() -> Iterator[None]:
         process.wait()
 
 
-def medians(work: Callable[[], object]) -> dict[int, float]:
-    """Return the median seconds of one and of two threads, in turns, beside the other process."""
+def cpu_seconds(work: Callable[[], object]) -> dict[int, float]:
+    """Return the median CPU time of one and of two threads, in turns: it is the same whatever else the machine does."""
     found: dict[int, list[float]] = {1: [], 2: []}
     for _ in range(ROUNDS):
         for count, seconds in found.items():
             with threads.limited(count):
-                start = time.perf_counter()
+                start = time.process_time()
                 work()
-                seconds.append(time.perf_counter() - start)
+                seconds.append(time.process_time() - start)
     return {count: statistics.median(seconds) for count, seconds in found.items()}
 
 
-def never_slower(work: Callable[[], object]) -> None:
-    tries = []
+def nobody_spins(work: Callable[[], object]) -> None:
     with burning():
-        for _ in range(TRIES):
-            tries.append(medians(work))
-            if tries[-1][2] < SLACK * tries[-1][1]:
-                return
-    pytest.fail(f"two threads are slower than one in every try: {tries}")
+        seconds = cpu_seconds(work)
+    assert seconds[2] < SLACK * seconds[1], seconds
 
 
 def test_a_step_of_a_field() -> None:
@@ -71,7 +65,7 @@ def test_a_step_of_a_field() -> None:
         field.backward(flat, torch.zeros(count, 3))
 
     step()  # compiles
-    never_slower(step)
+    nobody_spins(step)
 
 
 def test_a_network() -> None:
@@ -82,4 +76,4 @@ def test_a_network() -> None:
         net(left, right, largest_px=64)
 
     match()
-    never_slower(match)
+    nobody_spins(match)

@@ -12,11 +12,12 @@ from hypothesis import strategies as st
 
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.geometry import mirror_columns
 from priors.methods.lidar import stereo_denies
 from priors.methods.stereo import Stereo
 from priors.pairs.agreement import compare_sweep, match_corners
 from priors.pairs.matching import match, quick_match
-from priors.pairs.read import Pair, find_range, measure_rectification, mirror_columns, read_pair
+from priors.pairs.read import Pair, find_range, measure_rectification, read_pair
 from priors.pairs.rectification import RectificationError
 from priors.types import Camera, Depth, FloatMap, Frame, Sweep
 

@@ -39,9 +39,7 @@ class Window:
     def camera(self, camera: Camera) -> Camera:
         """Return the camera that takes the window's picture (mirrored: of the mirrored world)."""
         resized = geometry.resize(geometry.crop(camera, self.top, self.left, self.shape), self.size)
-        if self.mirrored:
-            resized.K[0, 2] = self.size[1] - 1 - resized.K[0, 2]
-        return resized
+        return geometry.mirror(resized) if self.mirrored else resized
 
     def image(self, image: Image) -> Image:
         """Cut an image."""
@@ -56,7 +54,7 @@ class Window:
         return picture[self.top : self.top + self.shape[0], self.left : self.left + self.shape[1]]
 
     def _mirror(self, picture: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
-        return picture[:, ::-1] if self.mirrored else picture
+        return geometry.mirror_columns(picture) if self.mirrored else picture
 
 
 def draw_window(

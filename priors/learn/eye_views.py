@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from priors.drives.kitti_odometry import KittiOdometry
-from priors.learn.stereo_pair import flip
+from priors.geometry import mirror_columns
 from priors.types import Image
 
 Side = Literal["left", "right"]
@@ -42,4 +42,4 @@ def read_views(sequence: Path, camera: str = "image_0") -> Iterator[EyeView]:
         frame = drive[index]
         left, right = frame.image(), frame.other()
         yield EyeView(sequence.name, frame.id, "left", left, right)
-        yield EyeView(sequence.name, frame.id, "right", flip(right), flip(left))
+        yield EyeView(sequence.name, frame.id, "right", mirror_columns(right), mirror_columns(left))

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from priors import geometry
 from priors.errors import DataError
+from priors.geometry import mirror_columns
 from priors.learn import pair_file
 from priors.street import rig
 from priors.types import Camera, FloatMap, Image, Mask, Matrix
@@ -68,16 +69,15 @@ def crop(scene: LidarScene, top: int, left: int, size: tuple[int, int]) -> Lidar
 
 def flip(scene: LidarScene) -> LidarScene:
     """Mirror a scene."""
-    K, T = scene.camera.K.copy(), scene.T_cam_lidar.copy()
-    K[0, 2] = scene.camera.size[1] - 1 - K[0, 2]
+    T = scene.T_cam_lidar.copy()
     T[0, 3] *= -1  # only where the scanner stands is ever looked at
     return replace(
         scene,
-        image=np.ascontiguousarray(scene.image[:, ::-1]),
-        camera=Camera(K, scene.camera.size),
+        image=mirror_columns(scene.image),
+        camera=geometry.mirror(scene.camera),
         T_cam_lidar=T,
         points_m=scene.points_m * np.array([-1, 1, 1], np.float32),
-        truth_m=np.ascontiguousarray(scene.truth_m[:, ::-1]),
+        truth_m=mirror_columns(scene.truth_m),
     )
 
 

@@ -1,16 +1,14 @@
 """Stereo pairs for training: two rectified views, and what is known of their disparity."""
 
 from dataclasses import dataclass, replace
-from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from priors import geometry
 from priors.errors import DataError
+from priors.geometry import mirror_columns
 from priors.types import Camera, FloatMap, Image, Mask
-
-T = TypeVar("T", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,13 +70,10 @@ def mirror(pair: StereoPair, right_px: FloatMap, right_known: Mask, right_sky: M
     Returns:
         The mirrored pair, without sensors.
     """
-    weight = flip(right_known).astype(np.float32)
-    return StereoPair(flip(pair.right), flip(pair.left), flip(right_px) * weight, flip(right_sky), weight, pair.source)
-
-
-def flip(map_: npt.NDArray[T]) -> npt.NDArray[T]:
-    """Mirror an image or a map (h, w, ...)."""
-    return np.ascontiguousarray(map_[:, ::-1])
+    weight = mirror_columns(right_known).astype(np.float32)
+    left, right = mirror_columns(pair.right), mirror_columns(pair.left)
+    disparity_px = mirror_columns(right_px) * weight
+    return StereoPair(left, right, disparity_px, mirror_columns(right_sky), weight, pair.source)
 
 
 def crop(pair: StereoPair, top: int, left: int, size: tuple[int, int]) -> StereoPair:

@@ -21,8 +21,8 @@ from torch import nn
 from priors import codecs
 from priors.codecs import as_rgb
 from priors.errors import DataError
+from priors.geometry import mirror_columns
 from priors.learn.eye_views import EyeView, Side, read_views, sequences
-from priors.learn.stereo_pair import flip
 from priors.machine import threads
 from priors.types import FloatMap, Image
 
@@ -100,7 +100,7 @@ def predict(net: nn.Module, view: EyeView, *, bf16: bool = False) -> FloatMap:
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=bf16):
         map_ = net(*(_tensor(image) for image in (view.left, view.right)))[0].float().numpy()
     map_ = map_[-height:, :width]
-    return flip(map_) if view.side == "right" else np.ascontiguousarray(map_)
+    return mirror_columns(map_) if view.side == "right" else np.ascontiguousarray(map_)
 
 
 def _tensor(image: Image) -> torch.Tensor:

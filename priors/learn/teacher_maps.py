@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from priors.errors import DataError
+from priors.geometry import mirror_columns
 from priors.learn.eye_views import RIGHT
-from priors.learn.stereo_pair import flip
 from priors.types import FloatMap, Mask
 
 INLIER_PX = 1.0
@@ -32,7 +32,7 @@ def read_map(path: Path, size: tuple[int, ...]) -> FloatMap:
     map_ = np.load(path, allow_pickle=False).astype(np.float32)
     if map_.shape != size:
         raise DataError(f"{path}: a disparity map {map_.shape}, the image is {size}: teach again")
-    return flip(map_) if path.stem.endswith(RIGHT) else map_
+    return mirror_columns(map_) if path.stem.endswith(RIGHT) else map_
 
 
 def offset(teacher_px: FloatMap, matched_px: FloatMap, calm: Mask) -> FloatMap:

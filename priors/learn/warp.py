@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 
-from priors.learn.stereo_pair import StereoPair, flip, mirror
+from priors.geometry import mirror_columns
+from priors.learn.stereo_pair import StereoPair, mirror
 from priors.types import FloatMap, Image, Mask
 
 STEP_PX = 0.8
@@ -41,7 +42,9 @@ def draw_pair(scene: DisparityImage, filler: Image, rng: np.random.Generator, cr
     """Make a pair of part of a scene: larger than the crop that will be cut out of it."""
     scene = _window(scene, rng, crop)
     if rng.random() < 0.5:
-        scene = DisparityImage(flip(scene.image), flip(scene.disparity_px), flip(scene.sky))
+        scene = DisparityImage(
+            mirror_columns(scene.image), mirror_columns(scene.disparity_px), mirror_columns(scene.sky)
+        )
     return warp(replace(scene, disparity_px=bend(scene.disparity_px, rng)), filler, swap=rng.random() < 0.5)
 
 

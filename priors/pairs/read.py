@@ -1,6 +1,6 @@
 """A frame's stereo pair: read, checked, and mirrored where the frame's camera is the right one.
 
-Matchers know left cameras only. In the mirror, a right camera is one. This is the one place that mirrors a pair.
+Matchers know left cameras only. In the mirror, a right camera is one. Only this file mirrors a frame's pair.
 """
 
 from collections.abc import Callable
@@ -10,7 +10,9 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
+from priors import geometry
 from priors.errors import DataError
+from priors.geometry import mirror_columns
 from priors.pairs.matching import largest_disparity, quarter_match
 from priors.pairs.rectification import RectificationError, compare_with_sweep, fit, usual_error
 from priors.types import Camera, FloatMap, Frame, Image, Matrix
@@ -43,16 +45,9 @@ class Pair:
         return Pair(mirror_columns(self.right), mirror_columns(self.left), not self.mirrored)
 
 
-def mirror_columns(map_: npt.NDArray[Kind]) -> npt.NDArray[Kind]:
-    """Mirror an image or a map (height, width, ...) from left to right."""
-    return np.ascontiguousarray(map_[:, ::-1])
-
-
 def mirror_camera(camera: Camera, T_cam_lidar: Matrix) -> tuple[Camera, Matrix]:
     """Return the camera and the LiDAR's place as the mirrored image has them."""
-    K = camera.K.copy()
-    K[0, 2] = camera.size[1] - 1 - K[0, 2]
-    return Camera(K, camera.size), np.diag([-1.0, 1.0, 1.0, 1.0]) @ T_cam_lidar
+    return geometry.mirror(camera), np.diag([-1.0, 1.0, 1.0, 1.0]) @ T_cam_lidar
 
 
 def baseline(frame: Frame) -> float:
