@@ -21,8 +21,8 @@ class Program:
 
     name: str
     purpose: str
-    commands: Mapping[str, tuple[str, str]]
-    """Command -> module of this package that has its `run(arguments)`, and what it does."""
+    commands: Mapping[str, str]
+    """Command -> what it does. Its file, cli/<program>/<command>.py, has its `run(arguments)`."""
     examples: str
 
     def main(self) -> None:
@@ -45,10 +45,10 @@ class Program:
         if not {"-h", "--help"}.intersection(rest) and (wrong := _wrong_mode()):
             err.print(f"[bold red]error:[/] {escape(wrong)}")
             return USAGE_ERROR
-        return guarded(lambda: import_module(self.commands[name][0]).run(rest))
+        return guarded(lambda: import_module(f"cli.{self.name}.{name}").run(rest))
 
     def _overview(self) -> str:
-        rows = "\n".join(f"  {name:<8}{what}" for name, (_, what) in self.commands.items())
+        rows = "\n".join(f"  {name:<8}{what}" for name, what in self.commands.items())
         parts = (
             f"{self.name}: {self.purpose}",
             f"commands\n{rows}",

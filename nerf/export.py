@@ -164,7 +164,7 @@ def _open3d() -> Any:
     except (ImportError, OSError) as error:
         raise DataError(
             f"a mesh needs open3d, which cannot be imported ({error}): pip install 'roadprior[mesh]' and "
-            "apt-get install libusb-1.0-0 libgl1; a point cloud needs neither"
+            "apt-get install libusb-1.0-0 libgl1 libegl1; a point cloud needs nothing more"
         ) from error
 
 

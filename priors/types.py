@@ -81,7 +81,7 @@ class Sweep:
 
 @dataclass(frozen=True, slots=True)
 class Rig:
-    """A car, and the error that the rectification of its stereo pairs usually has; see priors/pairs/offset.py."""
+    """A car, and the usual error of its stereo pairs' rectification; see priors/pairs/rectification.py."""
 
     name: str
     focal_px: float

@@ -1,18 +1,25 @@
 """README, docs and --help agree with the code: their commands are run, or at least parsed."""
 
+import ast
+import functools
 import re
 import shlex
 import subprocess
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import pytest
+import tyro
 
 from cli import nerf, priors
+from cli.priors import train
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+CARDS = sorted((ROOT / "priors" / "weights").glob("*.md"))
+CODE = sorted(path for top in ("priors", "nerf", "eval", "cli") for path in (ROOT / top).rglob("*.py"))
 PROGRAMS = {program.name: program for program in (priors.PROGRAM, nerf.PROGRAM)}
 SMALLER = {
     "--frames 40": "--frames 4",
@@ -22,25 +29,31 @@ SMALLER = {
 }
 
 
-def blocks(page: Path) -> list[str]:
-    """Return the page's indented and fenced blocks."""
-    text = page.read_text()
+def blocks(text: str) -> list[str]:
+    """Return a page's indented and fenced blocks."""
     fenced = re.findall(r"^```\w*\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
     return fenced + re.findall(r"(?:^    .*\n)+", text, re.MULTILINE)
 
 
 def commands(text: str) -> list[str]:
-    """Return its `priors ...` and `nerf ...` lines, without comments and what stands right of the command."""
+    """Return its `priors ...`, `nerf ...` and `python -m ...` lines, without what stands right of the command."""
     lines = [line.strip() for line in text.replace("\\\n", " ").splitlines()]
-    return [re.split(r"\s{2,}|\s#", line)[0] for line in lines if re.match(r"(priors|nerf) [a-z]", line)]
+    ours = re.compile(r"(priors|nerf) [a-z]|python -m (priors|nerf|eval|cli)\.")
+    return [re.split(r"\s{2,}|\s#", line)[0] for line in lines if ours.match(line)]
+
+
+def docstring(path: Path) -> str:
+    """Return a file's own docstring."""
+    return ast.get_docstring(ast.parse(path.read_text())) or ""
 
 
 def documented() -> list[str]:
     recipes = "architecture.md"  # its commands name files that tests/test_recipes.py writes, and runs them on
-    found = [line for page in PAGES if page.name != recipes for block in blocks(page) for line in commands(block)]
+    texts = [page.read_text() for page in (*PAGES, *CARDS) if page.name != recipes] + [docstring(path) for path in CODE]
+    found = [line for text in texts for block in blocks(text) for line in commands(block)]
     for program in PROGRAMS.values():
         found += commands(program.examples)
-        for module, _ in program.commands.values():
+        for module in (f"cli.{program.name}.{command}" for command in program.commands):
             found += commands(import_module(module).EXAMPLES)
     return sorted(set(found))
 
@@ -52,7 +65,10 @@ class Parsed(Exception):
 @pytest.mark.parametrize("line", documented())
 def test_every_documented_command_is_understood(line: str, monkeypatch: pytest.MonkeyPatch) -> None:
     program, name, *arguments = shlex.split(line)
-    module = import_module(PROGRAMS[program].commands[name][0])
+    if program == "python":
+        understand_module(*arguments, monkeypatch=monkeypatch)
+        return
+    module = import_module(f"cli.{program}.{name}")
     parse = module.parse
 
     def stop(*given: object) -> None:
@@ -64,9 +80,51 @@ def test_every_documented_command_is_understood(line: str, monkeypatch: pytest.M
         module.run(arguments)
 
 
+def understand_module(name: str, *arguments: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let a module that is a command of its own understand its arguments."""
+    cli = tyro.cli
+
+    def stop(what: Any, **more: Any) -> None:
+        @functools.wraps(what)
+        def parsed(*given: Any, **named: Any) -> None:
+            raise Parsed
+
+        cli(what if isinstance(what, type) else parsed, **more)
+        raise Parsed
+
+    monkeypatch.setattr(tyro, "cli", stop)
+    with pytest.raises(Parsed):
+        import_module(name).main(list(arguments))
+
+
+def test_every_training_that_is_named_exists() -> None:
+    texts = [page.read_text() for page in (*PAGES, *CARDS)] + [docstring(path) for path in CODE]
+    names = {name for text in texts for name in re.findall(r"priors train ([a-z]+)", text)}
+    assert len(names) >= 6
+    for name in names:
+        with pytest.raises(SystemExit) as caught:
+            train.run([name, "--help"])
+        assert caught.value.code == 0
+
+
+def test_files_that_are_named_exist() -> None:
+    """In documents and docstrings: priors/learn/loop.py, and learn/loop.py or loop.py beside the file that names it."""
+    lost = []
+    for path in (*PAGES, *CARDS, *CODE):
+        text = path.read_text() if path.suffix == ".md" else docstring(path)
+        for name in re.findall(
+            r"(?<![\w./])((?:priors|nerf|eval|cli|learn|nets|kernels|adapt|methods)/[\w/]+\.py)\b", text
+        ):
+            if not any((top / name).exists() for top in (ROOT, ROOT / "priors", ROOT / "nerf")):
+                lost.append(f"{path.relative_to(ROOT)}: {name}")
+    assert not lost, "\n".join(lost)
+
+
 def test_the_readme_runs(tmp_path: Path) -> None:
     """Run the README's commands on the street in order, smaller."""
-    lines = [line for block in blocks(ROOT / "README.md") for line in commands(block) if "KITTI" not in line]
+    lines = [
+        line for block in blocks((ROOT / "README.md").read_text()) for line in commands(block) if "KITTI" not in line
+    ]
     assert len(lines) >= 5
     for line in lines:
         for large, small in SMALLER.items():

@@ -10,16 +10,17 @@ from scipy.spatial.transform import Rotation
 from test_mffnet import CAMERA, T_CAM_LIDAR, F, road
 
 from priors.errors import DataError
-from priors.learn import scans
+from priors.learn import lidar_scene, pair_file
 from priors.learn.accumulated_lidar import agrees
 from priors.learn.completion import CompletionConfig, CompletionTask
+from priors.learn.lidar_dropout import drop_points
 from priors.learn.lidar_odometry import align
-from priors.learn.lidar_scene import Scene
-from priors.learn.pair_file import Sample, write
+from priors.learn.lidar_scene import LidarScene
+from priors.learn.stereo_pair import Sensors, StereoPair
 from priors.types import Camera
 
 
-def scene(real: bool = False, seed: int = 0) -> Scene:
+def scene(real: bool = False, seed: int = 0) -> LidarScene:
     """Scan lines on a road and a box that stands on it."""
     truth_m = road((288, 576))
     truth_m[60:160, 200:260] = 3.0
@@ -29,42 +30,42 @@ def scene(real: bool = False, seed: int = 0) -> Scene:
     camera = Camera(np.array([[300.0, 0, 280], [0, 300, 90], [0, 0, 1]]), (288, 576))
     points = np.stack([(column - 280) * z / 300, (row - 90) * z / 300, z], axis=1).astype(F)
     picture = rng.integers(0, 255, (288, 576, 3)).astype(np.uint8)
-    return Scene(picture, camera, T_CAM_LIDAR, points, ((row - 40) // 5).astype(np.uint8), truth_m, real)
+    return LidarScene(picture, camera, T_CAM_LIDAR, points, ((row - 40) // 5).astype(np.uint8), truth_m, real)
 
 
 def test_points_fall_where_the_truth_is() -> None:
-    sparse_m = scans.splat(scene().points_m, scene().camera)
+    sparse_m = lidar_scene.splat(scene().points_m, scene().camera)
     assert (sparse_m > 0).sum() == len(scene().points_m)
     np.testing.assert_allclose(sparse_m[sparse_m > 0], scene().truth_m[sparse_m > 0], rtol=1e-5)
 
 
 def test_the_nearer_point_of_two_stays() -> None:
     points = np.array([[0, 0, 9.0], [0, 0, 4.0], [0, 0, 20.0]], F)
-    assert scans.splat(points, CAMERA)[30, 70] == 4
+    assert lidar_scene.splat(points, CAMERA)[30, 70] == 4
 
 
 @pytest.mark.parametrize("change", ["crop", "flip", "both"])
 def test_changed_scenes_still_agree_with_their_truth(change: str) -> None:
     changed = scene()
     if change != "flip":
-        changed = scans.crop(changed, 20, 50, (256, 512))
+        changed = lidar_scene.crop(changed, 20, 50, (256, 512))
     if change != "crop":
-        changed = scans.flip(changed)
-    sparse_m = scans.splat(changed.points_m, changed.camera)
+        changed = lidar_scene.flip(changed)
+    sparse_m = lidar_scene.splat(changed.points_m, changed.camera)
     assert changed.image.shape == (*changed.camera.size, 3) and (sparse_m > 0).sum() > 5000
     np.testing.assert_allclose(sparse_m[sparse_m > 0], changed.truth_m[sparse_m > 0], rtol=1e-5)
 
 
 def test_rescaled_scenes_look_the_same() -> None:
-    near = scans.rescale(scene(), 0.5)
-    far = scans.splat(scene().points_m, scene().camera)
-    np.testing.assert_allclose(scans.splat(near.points_m, near.camera), 0.5 * far, rtol=1e-5)
+    near = lidar_scene.rescale(scene(), 0.5)
+    far = lidar_scene.splat(scene().points_m, scene().camera)
+    np.testing.assert_allclose(lidar_scene.splat(near.points_m, near.camera), 0.5 * far, rtol=1e-5)
     np.testing.assert_allclose(near.truth_m, 0.5 * scene().truth_m)
 
 
 @pytest.mark.parametrize("every", [1, 2, 8])
 def test_lines_are_left_out(every: int) -> None:
-    shown = scans.show(scene(), np.random.default_rng(0), every)
+    shown = drop_points(scene(), np.random.default_rng(0), every)
     rows = np.unique(np.nonzero(shown.sparse_m)[0])
     assert np.array_equal(rows, np.arange(40, 288, 5)[::every])
     assert shown.weight[100, 300] == 1 and shown.weight[10, 300] < 0.1
@@ -73,7 +74,7 @@ def test_lines_are_left_out(every: int) -> None:
 
 def test_real_truth_is_what_was_not_shown_and_what_others_saw() -> None:
     unseen = replace(scene(real=True), truth_m=np.zeros((288, 576), F))
-    shown = scans.show(unseen, np.random.default_rng(0), every=2)
+    shown = drop_points(unseen, np.random.default_rng(0), every=2)
     known = shown.weight > 0
     assert known.any() and not (known & (shown.sparse_m > 0)).any()
     np.testing.assert_allclose(shown.truth_m[known], scene().truth_m[known], rtol=1e-5)
@@ -110,14 +111,16 @@ def street(tmp_path: Path) -> Path:
         one = scene(seed=number)
         disparity_px = (300 * 0.54 / one.truth_m).astype(F)
         sky = np.zeros((288, 576), bool)
-        found = Sample(one.image, one.image, disparity_px, sky, one.camera, 0.54, one.points_m, one.beam)
-        write(tmp_path / "street" / f"{number:06d}.npz", found)
+        sensors = Sensors(one.camera, 0.54, one.points_m, one.beam)
+        everywhere = np.ones(sky.shape, F)
+        rendered = StereoPair(one.image, one.image, disparity_px, sky, everywhere, "street", sensors)
+        pair_file.write(tmp_path / "street" / f"{number:06d}.npz", rendered)
     return tmp_path / "street"
 
 
 def test_the_task_is_decided_by_its_arguments_and_learns(street: Path) -> None:
     task = CompletionTask(CompletionConfig(street, batch=2, size="s"))
-    assert len(task.streets.train) == 2 and len(task.streets.validation) == 1
+    assert len(task.samples.train) == 2 and len(task.samples.validation) == 1
     first, again = (task.batch(3, np.random.default_rng([0, 3])) for _ in range(2))
     assert all(torch.equal(first[name], again[name]) for name in first)
     assert first["image"].shape == (2, 3, 192, 448) and all(torch.isfinite(value).all() for value in first.values())

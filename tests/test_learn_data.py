@@ -9,16 +9,19 @@ import numpy as np
 import pytest
 import torch
 from conftest import RealData
-from reference import pairs as slow
+from reference import disparity_warp as slow
 
+from priors.codecs import as_rgb
 from priors.errors import DataError
 from priors.kernels import disparity_warp as kernels
-from priors.learn import data, looks, pseudo, sample, scenes, teach, vary, warp
-from priors.learn.stereo_pair import Pair, mirror, to_item
+from priors.learn import pair_file, pseudo_labels, stereo_augment, teacher_labels, teacher_maps, warp, warp_scenes
+from priors.learn.eye_views import EyeView, read_views
+from priors.learn.stereo_data import Folders, collate, find_sources, mixture, split_frames, validation
+from priors.learn.stereo_pair import Sensors, StereoPair, mirror
+from priors.pairs.matching import match
 from priors.types import Camera
 
 SIZE = (96, 192)
-PLAIN = looks.Look(np.arange(256, dtype=np.uint8), 0.0, 0.0, 0.0, 0.0, 0)
 
 
 def texture(y: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -27,18 +30,17 @@ def texture(y: np.ndarray, x: np.ndarray) -> np.ndarray:
     return 128 + 30 * waves[0] + 40 * waves[1] + 20 * waves[2]
 
 
-def slanted(size: tuple[int, int] = SIZE, a: float = 7.3, b: float = 0.04, c: float = 0.06) -> Pair:
+def slanted(size: tuple[int, int] = SIZE, a: float = 7.3, b: float = 0.04, c: float = 0.06) -> StereoPair:
     """An exact pair of a slanted plane: disparity a + b x + c y."""
     y, x = np.mgrid[: size[0], : size[1]].astype(np.float64)
     left = texture(y, x)
     right = texture(y, (x + a + c * y) / (1 - b))
     views = [np.repeat(np.rint(view).astype(np.uint8)[..., None], 3, axis=2) for view in (left, right)]
-    known, sky = np.ones(size, bool), np.zeros(size, bool)
     disparity_px = (a + b * x + c * y).astype(np.float32)
-    return Pair(*views, disparity_px, known, sky, known.astype(np.float32), "test")
+    return StereoPair(*views, disparity_px, np.zeros(size, bool), np.ones(size, np.float32), "test")
 
 
-def mismatch(pair: Pair) -> np.ndarray:
+def mismatch(pair: StereoPair) -> np.ndarray:
     """Grey levels by which the right view, looked up where the truth says, differs from the left: where it can be."""
     height, width = pair.disparity_px.shape
     rows, columns = np.mgrid[:height, :width].astype(np.float32)
@@ -51,8 +53,8 @@ def mismatch(pair: Pair) -> np.ndarray:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_cut_window_has_the_truth_of_its_own_scale(seed: int) -> None:
-    wild = replace(vary.USUAL, zoom=0.4, stretch=0.3)
-    cut = vary.cut(slanted(), np.random.default_rng(seed), (64, 128), wild)
+    wild = replace(stereo_augment.REAL, zoom=0.4, stretch=0.3)
+    cut = stereo_augment.cut(slanted(), np.random.default_rng(seed), (64, 128), wild)
     assert cut.left.shape == (64, 128, 3) and cut.known.all()
     assert mismatch(cut).max() < 6
     shifted = replace(cut, disparity_px=cut.disparity_px + np.float32(0.3))
@@ -61,7 +63,7 @@ def test_a_cut_window_has_the_truth_of_its_own_scale(seed: int) -> None:
 
 def test_a_resized_plane_is_the_plane_of_the_new_pixels() -> None:
     pair = slanted()
-    out = vary.resize(pair, 10, 30, (60, 100), (90, 250))
+    out = stereo_augment.resize(pair, 10, 30, (60, 100), (90, 250))
     y = 10 + (np.arange(90) + 0.5) * 60 / 90 - 0.5
     x = 30 + (np.arange(250) + 0.5) * 100 / 250 - 0.5
     expected = 2.5 * (7.3 + 0.04 * x + 0.06 * y[:, None])
@@ -87,44 +89,23 @@ def test_resizing_is_what_opencv_does_inside_a_surface() -> None:
 
 def test_depth_and_intrinsics_follow_the_window() -> None:
     K = np.array([[100.0, 0, 90], [0, 100, 40], [0, 0, 1]])
-    pair = replace(slanted(), camera=Camera(K, SIZE), baseline_m=0.5)
-    before, after = to_item(pair), to_item(vary.resize(pair, 10, 30, (60, 100), (90, 250)))
-    assert after["depth_m"][45, 120] == pytest.approx(before["depth_m"][40, 78], rel=0.01)
-    point = np.array([0.3, 0.1, before["depth_m"][40, 78]])
+    points = np.ones((3, 3), np.float32), np.zeros(3, np.uint8)
+    before = replace(slanted(), sensors=Sensors(Camera(K, SIZE), 0.5, *points))
+    after = stereo_augment.resize(before, 10, 30, (60, 100), (90, 250))
+    assert after.depth_m[45, 120] == pytest.approx(before.depth_m[40, 78], rel=0.01)
+    point = np.array([0.3, 0.1, before.depth_m[40, 78]])
     u, v = (K @ point)[:2] / point[2]
-    moved_u, moved_v = (after["K"] @ point)[:2] / point[2]
+    assert after.sensors is not None
+    moved_u, moved_v = (after.sensors.camera.K @ point)[:2] / point[2]
     assert moved_u == pytest.approx((u - 30 + 0.5) * 2.5 - 0.5) and moved_v == pytest.approx((v - 10 + 0.5) * 1.5 - 0.5)
 
 
 def test_a_misaligned_right_view_moves_nothing_along_its_rows() -> None:
     columns = np.tile(np.arange(180, dtype=np.uint8), (60, 1))
-    assert np.array_equal(vary.misalign(columns, 0.7, 0.01), columns)
+    assert np.array_equal(stereo_augment.misalign(columns, 0.7, 0.01), columns)
     rows = np.ascontiguousarray(columns[:, :60].T)
-    moved = vary.misalign(rows, 1.0, 0.0)
+    moved = stereo_augment.misalign(rows, 1.0, 0.0)
     assert np.array_equal(moved[5:50], rows[6:51])
-
-
-def test_a_neutral_look_changes_nothing() -> None:
-    image = slanted().left[..., 0]
-    assert np.array_equal(looks.show(image, PLAIN, np.random.default_rng(0)), image)
-    assert np.array_equal(looks.tone(np.zeros(6), 0.0, True)[:, 0, 1], np.arange(256))
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_looks_move_nothing(seed: int) -> None:
-    pair, rng = slanted(), np.random.default_rng(seed)
-    usual = looks.Range(extreme=0.0, noise=1.0)
-    left, _ = looks.change(pair.left, pair.right, rng, usual)
-    grey = [cv2.cvtColor(a, cv2.COLOR_RGB2GRAY) if a.ndim == 3 else a for a in (left, pair.left)]
-    shift, _ = cv2.phaseCorrelate(*(a.astype(np.float64) for a in grey))
-    assert np.hypot(*shift) < 0.15
-
-
-def test_noise_has_the_spread_asked_for_with_and_without_grain() -> None:
-    grey = np.full((200, 300), 128, np.uint8)
-    for grain_px in (0.0, 0.7):
-        out = looks.show(grey, replace(PLAIN, noise=6.0, grain_px=grain_px), np.random.default_rng(1))
-        assert np.std(out.astype(float)) == pytest.approx(6.0, rel=0.2)
 
 
 def test_what_the_right_view_sees_is_what_the_slow_loop_finds() -> None:
@@ -141,7 +122,7 @@ def test_what_the_right_view_sees_is_what_the_slow_loop_finds() -> None:
         assert np.abs(column - expected_column)[~differs].max() < 1e-3
 
 
-def blocks(size: tuple[int, int] = SIZE) -> warp.Scene:
+def blocks(size: tuple[int, int] = SIZE) -> warp.DisparityImage:
     """A slanted ground with a near block on it, under a textured sky."""
     y, x = np.mgrid[: size[0], : size[1]].astype(np.float32)
     disparity_px = np.maximum(0.25 * (y - 30) + 0.02 * x, 2).astype(np.float32)
@@ -149,10 +130,10 @@ def blocks(size: tuple[int, int] = SIZE) -> warp.Scene:
     sky = y < 20
     disparity_px[sky] = 0
     image = np.repeat(np.rint(texture(y, x)).astype(np.uint8)[..., None], 3, axis=2)
-    return warp.Scene(image, disparity_px, sky)
+    return warp.DisparityImage(image, disparity_px, sky)
 
 
-def reproduced(pair: Pair) -> None:
+def reproduced(pair: StereoPair) -> None:
     """Where the right view sees the same surface, the truth reproduces the left view; elsewhere it hides it."""
     _, seen_px = kernels.see_right(pair.disparity_px, warp.STEP_PX)
     height, width = pair.disparity_px.shape
@@ -160,7 +141,7 @@ def reproduced(pair: Pair) -> None:
     there = np.clip(np.rint(columns - pair.disparity_px).astype(int), 0, width - 1)
     hidden = seen_px[rows, there] > pair.disparity_px + 0.5
     edge = cv2.dilate(pair.disparity_px, np.ones((3, 7))) - cv2.erode(pair.disparity_px, np.ones((3, 7))) > 1.5
-    clear = replace(pair, known=pair.known & ~hidden & ~edge)
+    clear = replace(pair, weight=pair.weight * (~hidden & ~edge))
     assert clear.known.mean() > 0.7
     assert np.quantile(mismatch(clear), 0.995) < 6
     wrong = replace(clear, disparity_px=clear.disparity_px + np.float32(0.5))
@@ -183,7 +164,7 @@ def test_the_mirrored_pair_of_a_warped_image_is_as_true() -> None:
 
 def test_a_whole_number_of_pixels_is_a_plain_shift() -> None:
     image = np.random.default_rng(1).integers(0, 255, SIZE, dtype=np.uint8)
-    scene = warp.Scene(image, np.full(SIZE, 9, np.float32), np.zeros(SIZE, bool))
+    scene = warp.DisparityImage(image, np.full(SIZE, 9, np.float32), np.zeros(SIZE, bool))
     right = warp.warp(scene, np.zeros(SIZE, np.uint8)).right
     assert np.array_equal(right[:, :-9], image[:, 9:])
 
@@ -194,7 +175,7 @@ def test_the_near_hides_the_far_and_holes_are_filled() -> None:
     disparity_px = np.full(SIZE, 2, np.float32)
     disparity_px[30:60, 80:120] = 20
     rng = np.random.default_rng(1)
-    scene = warp.Scene(image, disparity_px, np.zeros(SIZE, bool))
+    scene = warp.DisparityImage(image, disparity_px, np.zeros(SIZE, bool))
     pair = warp.warp(scene, rng.integers(0, 255, SIZE, dtype=np.uint8))
     assert (pair.right[31:59, 61:99] == 200).all()
     assert np.std(pair.right[31:59, 101:117]) > 10  # what neither view saw: another image
@@ -220,11 +201,11 @@ def test_smeared_edges_become_sharp() -> None:
 
 
 def test_a_layout_stands_on_its_ground() -> None:
-    labels = np.full((180, 240), scenes.BUILDING, np.uint8)
-    labels[:60] = scenes.SKY
-    labels[110:] = scenes.ROAD
+    labels = np.full((180, 240), warp_scenes.BUILDING, np.uint8)
+    labels[:60] = warp_scenes.SKY
+    labels[110:] = warp_scenes.ROAD
     labels[90:150, 100:130] = 8
-    disparity_px = scenes.lay_out(labels, np.random.default_rng(0))
+    disparity_px = warp_scenes.lay_out(labels, np.random.default_rng(0))
     assert (disparity_px[:60] == 0).all()
     assert (np.diff(disparity_px[110:, 10]) > 0).all()
     assert disparity_px[120, 115] == pytest.approx(disparity_px[149, 20], abs=1e-3)
@@ -240,82 +221,83 @@ def write_street(folder: Path, worlds: int = 4) -> Path:
             sky[:9] = True
             camera = Camera(np.array([[90.0, 0, 64], [0, 90, 32], [0, 0, 1]]), (64, 128))
             disparity_px = np.where(sky, np.float32(0), pair.disparity_px)
-            points = np.ones((3, 3), np.float32), np.zeros(3, np.uint8)
-            found = sample.Sample(pair.left, pair.right, disparity_px, sky, camera, 0.5, *points)
-            sample.write(folder / f"{number:06d}.npz", found)
+            sensors = Sensors(camera, 0.5, np.ones((3, 3), np.float32), np.zeros(3, np.uint8))
+            rendered = replace(pair, disparity_px=disparity_px, sky=sky, source="street", sensors=sensors)
+            pair_file.write(folder / f"{number:06d}.npz", rendered)
     return folder
 
 
 def test_the_mixture_follows_from_the_generator(tmp_path: Path) -> None:
-    draw = data.mixture(write_street(tmp_path), crop=(48, 96))
+    draw = mixture(Folders(write_street(tmp_path)), (48, 96))
     first, again, other = (draw(np.random.default_rng([7, step])) for step in (1, 1, 2))
-    for field in ("left", "right", "disparity_px", "known", "sky", "weight"):
-        assert np.array_equal(first[field], again[field])
-    assert not np.array_equal(first["left"], other["left"])
+    for field in ("left", "right", "disparity_px", "sky", "weight"):
+        assert np.array_equal(getattr(first, field), getattr(again, field))
+    assert not np.array_equal(first.left, other.left)
 
 
-def test_items_are_what_networks_want(tmp_path: Path) -> None:
-    draw = data.mixture(write_street(tmp_path), crop=(48, 96))
-    items = [draw(np.random.default_rng(step)) for step in range(6)]
-    for item in items:
-        assert item["left"].shape == (3, 48, 96) and item["left"].dtype == np.float32
-        assert item["left"].min() >= 0 and item["left"].max() <= 1
-        assert (item["disparity_px"][~item["known"]] == 0).all() and (item["weight"][~item["known"]] == 0).all()
-        assert (item["disparity_px"][item["sky"]] == 0).all() and item["known"][item["sky"]].all()
-    batch = data.collate(items)
-    assert batch["left"].shape == (6, 3, 48, 96)
+def test_batches_are_what_networks_want(tmp_path: Path) -> None:
+    draw = mixture(Folders(write_street(tmp_path)), (48, 96))
+    pairs = [draw(np.random.default_rng(step)) for step in range(12)]
+    assert {pair.left.ndim for pair in pairs} == {2, 3}  # grey and coloured
+    for pair in pairs:
+        assert pair.left.shape[:2] == (48, 96) and pair.left.shape == pair.right.shape
+        assert (pair.disparity_px[~pair.known] == 0).all() and (pair.disparity_px[pair.known & ~pair.sky] > 0).all()
+        assert (pair.disparity_px[pair.sky] == 0).all() and pair.known[pair.sky].all()
+    batch = collate(pairs)
+    assert batch["left"].shape == (12, 3, 48, 96) and batch["left"].min() >= 0 and batch["left"].max() <= 1
     assert batch["left"].is_contiguous(memory_format=torch.channels_last)
-    assert torch.equal(batch["right"][2], torch.from_numpy(np.ascontiguousarray(items[2]["right"])))
-    assert batch["known"].dtype == torch.float32
+    for one, tensor in zip(pairs, batch["right"], strict=True):
+        assert np.array_equal(np.rint(255 * tensor.permute(1, 2, 0).numpy()), as_rgb(one.right))
+    assert all(value.dtype == torch.float32 for value in batch.values())
 
 
 def test_what_is_validated_on_is_never_drawn(tmp_path: Path) -> None:
-    train, held = data.find(write_street(tmp_path))
+    train, held = find_sources(Folders(write_street(tmp_path)))
     assert [path.stem for path in held.street] == ["000072", "000073"]
     assert not set(train.street) & set(held.street)
-    item = data.validation(tmp_path)[0]
-    assert item["left"].shape == (3, 64, 128)
-    assert np.allclose(item["disparity_px"][9:], slanted((64, 128), a=8).disparity_px[9:], atol=0.003)
+    pair = validation(Folders(tmp_path))[0]
+    assert pair.left.shape == (64, 128, 3)
+    assert np.allclose(pair.disparity_px[9:], slanted((64, 128), a=8).disparity_px[9:], atol=0.003)
 
 
 def test_both_views_of_every_tenth_frame_are_held_back() -> None:
     paths = [Path(f"06_{n:06d}{side}.npz") for n in range(21) for side in ("", "_right")]
-    train, held = data._part(paths)
+    train, held = split_frames(paths)
     assert {path.stem[:9] for path in held} == {"06_000000", "06_000010", "06_000020"} and len(held) == 6
     assert len(train) == 36
 
 
-def real_like() -> tuple[Pair, np.ndarray]:
+def real_like() -> tuple[StereoPair, np.ndarray]:
     """A pair with texture that a matcher can match, and what it is matched to."""
     rng = np.random.default_rng(2)
     size = (160, 320)
     image = cv2.GaussianBlur(rng.integers(0, 255, size, dtype=np.uint8), (0, 0), 1.2)
     y = np.mgrid[: size[0], : size[1]].astype(np.float32)[0]
-    scene = warp.Scene(cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX), 12 + 0.1 * y, np.zeros(size, bool))
+    scene = warp.DisparityImage(cv2.normalize(image, None, 0, 255, cv2.NORM_MINMAX), 12 + 0.1 * y, np.zeros(size, bool))
     pair = warp.warp(scene, np.zeros(size, np.uint8))
-    return pair, pseudo.match(pair.left, pair.right)
+    return pair, match(pair.left, pair.right)
 
 
 def test_labels_are_right_and_a_teachers_offset_is_taken_off() -> None:
     pair, matched_px = real_like()
     x = np.arange(320)
     teacher_px = pair.disparity_px + (0.4 + 1.0 * (2 * x / 320 - 1) ** 2).astype(np.float32)
-    alone = pseudo.label(pair.left, pair.right, matched_px)
-    taught = pseudo.label(pair.left, pair.right, matched_px, teacher_px)
+    alone = pseudo_labels.label(pair.left, pair.right, matched_px)
+    taught = pseudo_labels.label(pair.left, pair.right, matched_px, teacher_px)
     for found in (alone, taught):
         assert found.known.mean() > 0.6
         assert np.quantile(np.abs(found.disparity_px - pair.disparity_px)[found.known], 0.99) < 0.5
-    assert alone.weight.max() == pytest.approx(pseudo.ALONE)
-    assert np.median(taught.weight[taught.known]) == pytest.approx(pseudo.BOTH)
+    assert alone.weight.max() == pytest.approx(pseudo_labels.ALONE)
+    assert np.median(taught.weight[taught.known]) == pytest.approx(pseudo_labels.BOTH)
 
 
 def test_a_teacher_that_disagrees_is_not_believed() -> None:
     pair, matched_px = real_like()
     teacher_px = pair.disparity_px.copy()
     teacher_px[60:100, 100:200] += 6
-    assert pseudo.label(pair.left, pair.right, matched_px, teacher_px).known[64:96, 110:190].mean() < 0.05
+    assert pseudo_labels.label(pair.left, pair.right, matched_px, teacher_px).known[64:96, 110:190].mean() < 0.05
     matched_px[60:100, 100:200] = 0  # nor where nothing speaks against it but the image
-    assert pseudo.label(pair.left, pair.right, matched_px, teacher_px).known[64:96, 110:190].mean() < 0.1
+    assert pseudo_labels.label(pair.left, pair.right, matched_px, teacher_px).known[64:96, 110:190].mean() < 0.1
 
 
 def test_a_bright_wall_is_no_sky() -> None:
@@ -324,27 +306,60 @@ def test_a_bright_wall_is_no_sky() -> None:
     matched_px = np.full((60, 100), 30, np.float32)
     matched_px[:, 50:] = 3
     matched_px[mask > 0] = 0
-    kept = pseudo._reaching_far(mask, matched_px)
+    kept = pseudo_labels._reaching_far(mask, matched_px)
     assert kept[10, 70] == 1 and kept[10, 20] == 0
 
 
 def test_a_labelled_pair_and_a_scene_come_back_from_disk(tmp_path: Path) -> None:
     pair, matched_px = real_like()
-    labelled = pseudo.label(pair.left, pair.right, matched_px)
-    pseudo.write(tmp_path / "a.npz", labelled, matched_px)
-    back = pseudo.read(tmp_path / "a.npz")
+    labelled = pseudo_labels.label(pair.left, pair.right, matched_px)
+    pair_file.write(tmp_path / "a.npz", labelled, matched_px)
+    back = pair_file.read(tmp_path / "a.npz")
     assert np.abs(back.disparity_px - labelled.disparity_px).max() <= 0.5 / 256 + 1e-6
     assert np.array_equal(back.known, labelled.known) and np.array_equal(back.right, labelled.right)
-    assert np.abs(pseudo.read_matched(tmp_path / "a.npz") - matched_px).max() <= 0.5 / 256 + 1e-6
-    warp.write(tmp_path / "b.npz", blocks())
-    scene = warp.read(tmp_path / "b.npz")
+    assert np.abs(back.weight - labelled.weight).max() <= 0.5 / 255 + 1e-6 and back.source == labelled.source
+    assert np.abs(pair_file.read_matched(tmp_path / "a.npz") - matched_px).max() <= 0.5 / 256 + 1e-6
+    pair_file.write_image(tmp_path / "b.npz", blocks())
+    scene = pair_file.read_disparity_image(tmp_path / "b.npz")
     assert np.array_equal(scene.image, blocks().image) and np.array_equal(scene.sky, blocks().sky)
+    assert np.array_equal(pair_file.read_left(tmp_path / "b.npz"), blocks().image)
+
+
+def test_a_rendered_pair_comes_back_with_its_sensors(tmp_path: Path) -> None:
+    write_street(tmp_path, worlds=1)
+    back = pair_file.read(tmp_path / "000000.npz")
+    assert back.source == "street" and back.sensors is not None
+    assert back.sensors.camera.K[0, 2] == 64 and back.sensors.camera.size == (64, 128)
+    assert back.sensors.baseline_m == 0.5 and back.sensors.points_m.shape == (3, 3)
+    assert np.array_equal(back.weight, np.ones((64, 128), np.float32)) and back.sky[:9].all() and not back.sky[9:].any()
+    with np.load(tmp_path / "000000.npz") as file:
+        assert "weight" not in file  # a plain one takes no room
+
+
+def test_files_of_older_layouts_and_damaged_ones_are_one_line(tmp_path: Path) -> None:
+    old = tmp_path / "samples" / "000000.npz"
+    old.parent.mkdir()
+    np.savez(old, left=np.zeros((4, 5), np.uint8), disparity=np.zeros((4, 5), np.uint16))
+    cut = tmp_path / "000001.npz"
+    pair_file.write(cut, slanted())
+    cut.write_bytes(cut.read_bytes()[:5000])
+    for path, reason in (
+        (old, "older layout: delete .*samples/ and run"),
+        (cut, "damaged"),
+        (tmp_path / "no.npz", "No such"),
+    ):
+        with pytest.raises(DataError, match=reason) as caught:
+            pair_file.read(path)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(DataError, match="damaged"):
+        pair_file.write_image(cut, blocks())
+        pair_file.read(cut)  # no right view
 
 
 def test_a_teachers_map_of_another_size_is_an_error(tmp_path: Path) -> None:
     np.save(tmp_path / "06_000000.npy", np.zeros((4, 5), np.float32))
     with pytest.raises(DataError, match="teach again"):
-        pseudo.read_map(tmp_path / "06_000000.npy", (4, 6))
+        teacher_maps.read_map(tmp_path / "06_000000.npy", (4, 6))
 
 
 PEER = """
@@ -360,16 +375,16 @@ class Shift(torch.nn.Module):
 def test_a_peer_teaches_in_each_eyes_own_pixels(tmp_path: Path) -> None:
     (tmp_path / "peer.py").write_text(PEER)
     torch.save({"state_dict": {}}, tmp_path / "weights.tar")
-    net = teach.load(tmp_path / "peer.py", "Shift", tmp_path / "weights.tar")
+    net = teacher_labels.load(tmp_path / "peer.py", "Shift", tmp_path / "weights.tar")
     image = np.zeros((40, 70), np.uint8)
-    left = teach.predict(net, pseudo.View("06", "000000", "left", image, image))
-    right = teach.predict(net, pseudo.View("06", "000000", "right", image, image))
+    left = teacher_labels.predict(net, EyeView("06", "000000", "left", image, image))
+    right = teacher_labels.predict(net, EyeView("06", "000000", "right", image, image))
     assert left.shape == (40, 70) and np.array_equal(left[3], np.arange(70)) and np.array_equal(right, left[:, ::-1])
     with pytest.raises(DataError, match="--network"):
-        teach.load(tmp_path / "peer.py", "Other", tmp_path / "weights.tar")
+        teacher_labels.load(tmp_path / "peer.py", "Other", tmp_path / "weights.tar")
 
 
 def test_right_eyes_see_the_mirrored_pair(real_data: RealData) -> None:
-    first, second = islice(pseudo.read_views(real_data("kitti_odometry", "sequences", "06")), 2)
+    first, second = islice(read_views(real_data("kitti_odometry", "sequences", "06")), 2)
     assert (first.name, second.name) == ("06_000000", "06_000000_right")
     assert np.array_equal(second.left, first.right[:, ::-1]) and np.array_equal(second.right, first.left[:, ::-1])

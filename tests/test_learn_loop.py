@@ -2,6 +2,9 @@
 
 import json
 import signal
+import subprocess
+import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -10,10 +13,16 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from cli.train import StereoArguments, started_from
-from priors.adapt.batch import Batch
+from cli.priors.train import StereoArguments, started_from
+from priors.adapt.finetune import AdaptConfig
+from priors.adapt.training_step import Batch
 from priors.errors import DataError
-from priors.learn.loop import TrainConfig, train
+from priors.learn.completion import CompletionConfig
+from priors.learn.config import TrainConfig
+from priors.learn.fit_sky import SkyFit
+from priors.learn.loop import train
+from priors.learn.mono import MonoConfig
+from priors.learn.teacher_labels import TeacherConfig
 from priors.types import Image
 
 CONFIG = TrainConfig(steps=40, lr=1e-2, warm_up=5, validate_every=10)
@@ -121,6 +130,42 @@ def test_a_step_that_is_not_finite_is_left_out(tmp_path: Path) -> None:
 
     train(Broken(), tmp_path, CONFIG)
     assert all(value.isfinite().all() for value in weights(tmp_path).values())
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: TrainConfig(lr=0),
+        lambda: TrainConfig(minutes=float("inf")),
+        lambda: TrainConfig(ema=1.0),
+        lambda: TrainConfig(steps=0),
+        lambda: TrainConfig(validate_every=0),
+        lambda: TrainConfig(threads=0),
+        lambda: TrainConfig(warm_up=-1),
+        lambda: AdaptConfig(seconds=0),
+        lambda: AdaptConfig(steps=0),
+        lambda: AdaptConfig(batch=0),
+        lambda: AdaptConfig(ema=-0.1),
+        lambda: CompletionConfig(real_share=1.5),
+        lambda: CompletionConfig(batch=0),
+        lambda: MonoConfig(real_share=-1),
+        lambda: MonoConfig(batch=0),
+        lambda: TeacherConfig(Path("a"), Path("b"), Path("c"), Path("d"), every=0),
+        lambda: SkyFit(Path("a"), seed=-1),
+    ],
+)
+def test_settings_check_themselves(make: Callable[[], object]) -> None:
+    with pytest.raises(DataError, match="expected") as caught:
+        make()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_wrong_setting_is_one_line_of_the_command(tmp_path: Path) -> None:
+    command = [str(Path(sys.executable).parent / "priors"), "train", "mono", str(tmp_path / "run"), "--ema", "1.5"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode != 0
+    (line,) = done.stderr.strip().splitlines()
+    assert "--ema is 1.5" in line and "expected" in line
 
 
 def test_a_run_remembers_what_it_started_from(tmp_path: Path) -> None:

@@ -347,7 +347,7 @@ def test_every_parameter_of_a_stereo_network_learns(network: type[nn.Module]) ->
     net = network("s")
     pair = torch.rand(2, 1, 3, 64, 96)
     truth = torch.rand(1, 64, 96) * 30
-    batch = {"left": pair[0], "right": pair[1], "disparity_px": truth, "known": torch.ones(1, 64, 96)}
+    batch = {"left": pair[0], "right": pair[1], "disparity_px": truth}
     batch["sky"] = torch.zeros(1, 64, 96)
     task = StereoTask(net, lambda rng: {})
     loss, _ = task.loss({**batch, "weight": torch.ones(1, 64, 96)})
@@ -366,7 +366,7 @@ def test_the_sky_counts_little_against_what_stands_before_it() -> None:
     image, sky = torch.zeros(1, 3, 4, 4), torch.zeros(1, 4, 4)
     sky[:, :2] = 1
     truth = torch.where(sky > 0, 0.0, 13.0)  # 10 px off in the sky, 3 px off below
-    batch = {"left": image, "right": image, "disparity_px": truth, "known": torch.ones(1, 4, 4), "sky": sky}
+    batch = {"left": image, "right": image, "disparity_px": truth, "sky": sky}
     _, terms = StereoTask(Constant(), lambda rng: {}).loss({**batch, "weight": torch.ones(1, 4, 4)})
     assert float(terms["epe"]) == pytest.approx((10 * SKY_WEIGHT + 3) / (SKY_WEIGHT + 1))
 

@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from priors.learn.confidence_calibration import CLEARLY, FAR, Seen, area, calibrate, ratios
+from priors.learn.confidence_calibration import CLEARLY, FAR, CalibrationPixels, area, calibrate, ratios
 from priors.nets.confidence import TERMS, ConfidenceCalibration, evidence, falling, fit, is_hidden, miscalibration
 
 
-def drawn(seed: int = 0, n: int = 40_000, honest: float = 1.0) -> Seen:
+def drawn(seed: int = 0, n: int = 40_000, honest: float = 1.0) -> CalibrationPixels:
     """Pixels whose errors are Laplace-distributed with a spread that the doubt knows, overstated by `honest`."""
     rng = np.random.default_rng(seed)
     truth_px = np.exp(rng.uniform(np.log(3), np.log(150), n))
@@ -21,7 +21,7 @@ def drawn(seed: int = 0, n: int = 40_000, honest: float = 1.0) -> Seen:
     wrong = np.exp(-1 / scale)
     doubt = honest * np.log(wrong / (1 - wrong))
     terms = np.stack([doubt, np.log(scale), -np.log(found_px), np.zeros(n), np.zeros(n)])
-    return Seen(terms.astype(np.float32), found_px.astype(np.float32), truth_px.astype(np.float32))
+    return CalibrationPixels(terms.astype(np.float32), found_px.astype(np.float32), truth_px.astype(np.float32))
 
 
 def test_terms_have_the_shape_of_the_map() -> None:
@@ -106,7 +106,7 @@ def test_ratios_know_a_perfect_and_a_reversed_order() -> None:
     """The score of pixels whose errors are known: sorted by error nothing does better, the other way nothing worse."""
     seen = drawn()
     relative = np.abs(seen.truth_px / seen.disparity_px - 1)
-    by_error = Seen(np.stack([relative, *seen.terms[1:]]), seen.disparity_px, seen.truth_px)
+    by_error = CalibrationPixels(np.stack([relative, *seen.terms[1:]]), seen.disparity_px, seen.truth_px)
     best, worst = (ConfidenceCalibration((sign, 0, 0, 0, 0), (0.0, 1.0), (1.0, 0.0)) for sign in (1.0, -1.0))
     assert ratios(best, by_error)[0] < min(ratios(fit(seen.terms, seen.within, far), seen)[0] for far in FAR)
     assert min(ratios(worst, by_error)) > 1

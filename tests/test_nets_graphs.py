@@ -135,8 +135,8 @@ def test_graphs_are_kept_a_size_and_hold_the_header() -> None:
     net = graphs.Portable(ready, "mffnet")
     for width in (32, 64, 32):
         assert net(*graphs.FORMS["mffnet"].examples(32, width)).depth_m.shape == (1, 32, width)
-    assert len(net.made) == 2
-    session = next(iter(net.made.values()))
+    assert len(net.sessions) == 2
+    session = next(iter(net.sessions.values()))
     assert session.get_modelmeta().custom_metadata_map["roadprior"] == '{"net": "mffnet"}'
 
 

@@ -225,7 +225,7 @@ def test_onnx_equals_torch(tmp_path: Path) -> None:
     for a, b in zip(exact, graphs(left, right, 32), strict=True):
         assert np.allclose(a[:, :-4], b[:, :-4], atol=2e-3)  # the stand-in sees the padding on the right
     assert [graphs(left, right, largest)[0].shape for largest in (64, 96, 32)] == [(40, 72)] * 3
-    assert len(graphs.made) == 2
+    assert len(graphs.graphs) == 2
     path = tmp_path / "a.onnx"
     codecs.write_bytes(path, to_onnx(ready, (64, 96), 32))
     graph = Graph(path)

@@ -74,8 +74,8 @@ class LogNormal:
 
     def __post_init__(self) -> None:
         if not (0 < self.median < np.inf and 0 <= self.deviation < np.inf):
-            found = f"{self.median} and {self.deviation}"
-            raise ValueError(f"log-normal distribution: expected median > 0 and deviation >= 0, found {found}")
+            given = f"{self.median} and {self.deviation}"
+            raise ValueError(f"log-normal distribution: expected median > 0 and deviation >= 0, found {given}")
 
     def draw(self, rng: np.random.Generator, count: int = 1) -> Values:
         """Draw values (count,)."""

@@ -75,6 +75,7 @@ def fine_tune(
     supervision: Supervision,
     config: AdaptConfig,
     on_progress: Callable[[float, float], None] = lambda done, error: None,
+    *,
     bf16: bool = True,
 ) -> nn.Module:
     """Fine-tune a network; returns the new one in eval mode, the given one is not touched.

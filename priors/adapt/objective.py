@@ -10,7 +10,7 @@ from priors.nets import bts
 from priors.types import Camera, Image
 
 
-def predict(net: nn.Module, image: Image, camera: Camera, bf16: bool = True) -> bts.MonoOut:
+def predict(net: nn.Module, image: Image, camera: Camera, *, bf16: bool = True) -> bts.MonoOut:
     """Run a network on a whole image; the maps are (1, h, w) on the CPU."""
     device = next(net.parameters()).device
     K = torch.from_numpy(camera.K)[None].float()

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 import torch
 
-from priors.adapt.selection import pick_evenly
+from priors.adapt.training_frames import pick_evenly
 from priors.adapt.training_step import Batch
 from priors.adapt.views import LabelledView, augment_view, collate
 from priors.adapt.windows import Window, crop, draw_window
@@ -49,8 +49,8 @@ def pair_up(drive: Drive, indices: Sequence[int], most: int) -> dict[int, tuple[
 
     Raises DataError where frames have no poses, or lie too close or too far apart.
     """
-    found = {index: drive[index].T_world_cam for index in indices}
-    poses = {index: T_world_cam for index, T_world_cam in found.items() if T_world_cam is not None}
+    all_poses = {index: drive[index].T_world_cam for index in indices}
+    poses = {index: T_world_cam for index, T_world_cam in all_poses.items() if T_world_cam is not None}
     instead = "choose --mono.adapt lidar or stereo"
     if not poses:
         where = "KITTI's oxts, poses/<sequence>.txt, a folder's poses.txt"
@@ -71,7 +71,7 @@ def neighbours(poses: Mapping[int, Matrix], target: int) -> tuple[int, int] | No
         poses: T_world_cam by position in the drive.
         target: one of them.
     """
-    found = []
+    nearest = []
     for way in (-1, 1):
         near: dict[int, float] = {}
         for index in range(target + way, target + way * (REACH + 1), way):
@@ -80,8 +80,8 @@ def neighbours(poses: Mapping[int, Matrix], target: int) -> tuple[int, int] | No
                 if NEAREST_M <= moved_m <= FARTHEST_M:
                     near[index] = abs(np.log(moved_m / WANTED_M))
         if near:
-            found.append(min(near, key=near.__getitem__))
-    return (found[0], found[-1]) if found else None
+            nearest.append(min(near, key=near.__getitem__))
+    return (nearest[0], nearest[-1]) if nearest else None
 
 
 def posed_batch(

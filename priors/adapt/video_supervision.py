@@ -71,7 +71,7 @@ def finest(height: int) -> int:
     return 1 if height < SMALL else 2
 
 
-def read_posed_view(drive: Drive, index: int, near: tuple[int, int], start: nn.Module, bf16: bool) -> PosedView:
+def read_posed_view(drive: Drive, index: int, near: tuple[int, int], start: nn.Module, *, bf16: bool) -> PosedView:
     """Read a frame, its neighbours and what the starting network says about it.
 
     Args:
@@ -85,7 +85,7 @@ def read_posed_view(drive: Drive, index: int, near: tuple[int, int], start: nn.M
 
     frame = drive[index]
     image = frame.image()
-    out = predict(start, image, frame.camera, bf16)
+    out = predict(start, image, frame.camera, bf16=bf16)
     ours, theirs = out.sky_logit[0].numpy() > 0, sky_mask(image)
     sky = np.where(ours == theirs, np.where(ours, SKY, SURFACE), UNKNOWN).astype(np.int8)
     view = LabelledView(image, frame.camera, out.depth_m[0].numpy(), sky, "video")

@@ -39,7 +39,7 @@ def upsample(values: FloatMap, logits: Bits, factor: int, largest: float, out: F
                     total += weights[k]
                 scale = np.float32(1) / total
                 for c in range(channels):
-                    found = np.float32(0)
+                    average = np.float32(0)
                     for k in range(9):
-                        found += weights[k] * around[c, k]
-                    out[b, c, factor * y + part // factor, factor * x + part % factor] = found * scale
+                        average += weights[k] * around[c, k]
+                    out[b, c, factor * y + part // factor, factor * x + part % factor] = average * scale

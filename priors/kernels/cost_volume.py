@@ -74,9 +74,9 @@ def match_beside(
 def units(features: Bits, groups: int, out: FloatMap, first: int, last: int) -> None:
     """Write features (rows, w, c) with every group of channels of length 1, rows first to last - 1."""
     for row in range(first, last):
-        found, line = unit(features[row], groups).reshape(-1), out[row].reshape(-1)
+        normalised, line = unit(features[row], groups).reshape(-1), out[row].reshape(-1)
         for k in range(line.size):
-            line[k] = found[k]
+            line[k] = normalised[k]
 
 
 @compiled(fastmath=True)

@@ -10,23 +10,23 @@ from priors.machine.compiled import compiled
 
 
 @compiled(fastmath=True)
-def add_interleaved(plus: Bits, found: Bits, out: Bits, first: int, last: int) -> None:
-    """Write plus + found, interleaved, for the rows first to last - 1.
+def add_interleaved(plus: Bits, answers: Bits, out: Bits, first: int, last: int) -> None:
+    """Write plus + answers, interleaved, for the rows first to last - 1.
 
     Args:
         plus: (b * h, w, planes, c) in 16 or 32 bits.
-        found: (b, h / 2 + 1, w / 2 + 1, planes / 2 + 1, 8 * c): see nets/fused.split_by_place.
+        answers: (b, h / 2 + 1, w / 2 + 1, planes / 2 + 1, 8 * c): see nets/fused.split_by_place.
         out: as plus, written.
         first: row of plus.
         last: row of plus.
     """
     _, width, planes, channels = plus.shape
-    height = 2 * (found.shape[1] - 1)
-    cells = np.empty(planes * channels, found.dtype)
+    height = 2 * (answers.shape[1] - 1)
+    cells = np.empty(planes * channels, answers.dtype)
     ours, theirs = np.empty(cells.size, np.float32), np.empty(cells.size, np.float32)
     for row in range(first, last):
         y = row % height
-        source = found[row // height, (y + 1) // 2]
+        source = answers[row // height, (y + 1) // 2]
         for x in range(width):
             line, kind = source[(x + 1) // 2], 4 * (y % 2) + 2 * (x % 2)
             for plane in range(planes):

@@ -56,10 +56,10 @@ def hide(
     """
     height, width = depth_m.shape
     rows, columns = nearest_m.shape[0] - height, nearest_m.shape[1] - width
-    kept = np.float32(1.0 - share)
+    nearer_share = np.float32(1.0 - share)
     for row in range(height):
         for column in range(width):
-            limit = depth_m[row, column] * kept
+            limit = depth_m[row, column] * nearer_share
             above = max(nearest_m[row, column], nearest_m[row, column + columns])
             below = max(nearest_m[row + rows, column], nearest_m[row + rows, column + columns])
             hidden[row, column] |= (max(above, below) < limit) & (limit < np.inf)  # no branch: it vectorises
@@ -74,11 +74,11 @@ def free_until(nearest_m: npt.NDArray[np.float32], height: int, share: float) ->
     """
     width = nearest_m.shape[1]
     rows = nearest_m.shape[0] - height
-    kept = np.float32(1.0 - share)
+    nearer_share = np.float32(1.0 - share)
     free_m = np.zeros((height, width), dtype=np.float32)
     for row in range(height):
         for column in range(width):
             above, below = nearest_m[row, column], nearest_m[row + rows, column]
             if max(above, below) < np.inf:
-                free_m[row, column] = min(above, below) * kept
+                free_m[row, column] = min(above, below) * nearer_share
     return free_m

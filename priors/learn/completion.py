@@ -139,7 +139,7 @@ class CompletionTask:
             example, batch = examples[0]
             with torch.autocast("cpu", torch.bfloat16):
                 out = _run(net, batch)
-            drawn[name] = draw(example, batch["fill_m"][0].numpy(), out.depth_m[0].numpy())
+            drawn[name] = make_picture(example, batch["fill_m"][0].numpy(), out.depth_m[0].numpy())
         return drawn
 
     def _draw_scene(self, rng: np.random.Generator) -> LidarScene:
@@ -202,7 +202,7 @@ def to_batch(example: CompletionExample, image: Image, T_cam_lidar: Matrix | Non
     return {"image": torch.from_numpy(image).permute(2, 0, 1)[None].float() / 255, **batch}
 
 
-def draw(example: CompletionExample, fill_m: FloatMap, depth_m: FloatMap) -> Image:
+def make_picture(example: CompletionExample, fill_m: FloatMap, depth_m: FloatMap) -> Image:
     """Return a picture: image and samples, pre-fill and result, the error of both."""
     truth_m = np.where(example.weight > LEAST_WEIGHT, example.truth_m, np.float32(0))
     rows = [

@@ -35,17 +35,16 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for name in ("minutes", "lr", "clip"):
-            _check(name, getattr(self, name), "above 0", 0 < getattr(self, name) < math.inf)
-        for name in ("weight_decay", "save_s"):
-            _check(name, getattr(self, name), "0 or more", getattr(self, name) >= 0)
-        for name in ("warm_up", "seed"):
-            _check(name, getattr(self, name), "0 or more", getattr(self, name) >= 0)
-        _check("validate_every", self.validate_every, "1 or more", self.validate_every >= 1)
-        _check("ema", self.ema, "from 0 to below 1", 0 <= self.ema < 1)
-        _check("steps", self.steps, "1 or more", self.steps is None or self.steps >= 1)
-        _check("threads", self.threads, "1 or more", self.threads is None or self.threads >= 1)
+            if not 0 < getattr(self, name) < math.inf:
+                raise self._wrong(name, "a finite number above 0")
+        for name in ("weight_decay", "save_s", "warm_up", "seed"):
+            if not getattr(self, name) >= 0:
+                raise self._wrong(name, "0 or more")
+        for name in ("validate_every", "steps", "threads"):
+            if getattr(self, name) is not None and getattr(self, name) < 1:
+                raise self._wrong(name, "1 or more")
+        if not 0 <= self.ema < 1:
+            raise self._wrong("ema", "0 or more, and less than 1")
 
-
-def _check(name: str, value: object, expected: str, holds: bool) -> None:
-    if not holds:
-        raise DataError(f"training: --{name.replace('_', '-')} is {value}, expected {expected}")
+    def _wrong(self, name: str, expected: str) -> DataError:
+        return DataError(f"training: --{name.replace('_', '-')} is {getattr(self, name)}, expected {expected}")

@@ -132,8 +132,8 @@ def draw_blocks(
     size = (columns, rows)
     share = cv2.resize((label == SKY).astype(np.float32), size, interpolation=cv2.INTER_AREA).ravel()
     unknown = cv2.resize((label == UNKNOWN).astype(np.float32), size, interpolation=cv2.INTER_AREA).ravel()
-    known = np.flatnonzero(unknown < 0.3)
-    chosen = rng.choice(known, BLOCKS_PER_IMAGE) if known.size else known
+    labelled = np.flatnonzero(unknown < 0.3)
+    chosen = rng.choice(labelled, BLOCKS_PER_IMAGE) if labelled.size else labelled
     return chosen, share[chosen].astype(np.float32)
 
 

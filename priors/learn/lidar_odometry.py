@@ -27,11 +27,11 @@ NEAR_M = 45.0
 
 def poses(sweeps: Sequence[Points]) -> list[Matrix]:
     """Return every scanner's pose (4, 4) in the first one's axes, from sweeps (n, 3), metres."""
-    found, step = [np.eye(4)], np.eye(4)
+    T_first_others, step = [np.eye(4)], np.eye(4)
     for before, now in pairwise(sweeps):
         step = align(now, before, step)  # it goes on as it went
-        found.append(found[-1] @ step)
-    return found
+        T_first_others.append(T_first_others[-1] @ step)
+    return T_first_others
 
 
 def align(moving: Points, fixed: Points, T_fixed_moving: Matrix) -> Matrix:

@@ -98,7 +98,7 @@ def find_sky(image: Image, matched_px: FloatMap) -> tuple[Mask, Mask]:
 def _reaching_far(mask: npt.NDArray[np.uint8], matched_px: FloatMap) -> npt.NDArray[np.uint8]:
     """Keep the pieces of the mask (h, w) along whose outline something far is matched."""
     count, pieces, boxes, _ = cv2.connectedComponentsWithStats(mask)
-    kept = np.zeros_like(mask)
+    reaching = np.zeros_like(mask)
     reach = SKY_MARGIN_PX
     for piece in range(1, count):
         x, y, width, height, _ = boxes[piece]
@@ -107,8 +107,8 @@ def _reaching_far(mask: npt.NDArray[np.uint8], matched_px: FloatMap) -> npt.NDAr
         ring = (cv2.dilate(inside, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)) > inside) & (matched_px[box] > 0)
         around_px = matched_px[box][ring]
         if around_px.size and np.quantile(around_px, HORIZON_SHARE) < HORIZON_PX:
-            kept[box] |= inside
-    return kept
+            reaching[box] |= inside
+    return reaching
 
 
 def steep(map_: FloatMap) -> Mask:

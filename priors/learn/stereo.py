@@ -67,7 +67,7 @@ class StereoTask:
         """Return the loss, and the final disparity's mean absolute error in pixels."""
         stages = int(batch.get("stages", 3))
         out: StereoOut = self.net(batch["left"], batch["right"], LARGEST_PX, stages)
-        truth, weight = batch["disparity_px"], batch["weight"] * batch["known"]
+        truth, weight = batch["disparity_px"], batch["weight"]
         weight = weight * (truth < LARGEST_PX) * (1 - (1 - SKY_WEIGHT) * batch["sky"])
         error = (out.disparity_px - truth).abs()
         total = masked_mean(soft(error), weight) if stages == 3 else error.new_zeros(())

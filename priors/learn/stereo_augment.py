@@ -84,8 +84,8 @@ class StereoAugmentation:
             zooms = f"{self.smallest_zoom} and {self.largest_zoom}"
             raise ValueError(f"stereo augmentation: expected 0 < smallest_zoom <= largest_zoom, found {zooms}")
         if not (0 <= self.misaligned <= 1 and 0 <= self.covered <= 1):
-            found = f"{self.misaligned} and {self.covered}"
-            raise ValueError(f"stereo augmentation: expected probabilities from 0 to 1, found {found}")
+            given = f"{self.misaligned} and {self.covered}"
+            raise ValueError(f"stereo augmentation: expected probabilities from 0 to 1, found {given}")
 
 
 REAL = StereoAugmentation()

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from priors.adapt.selection import pick_evenly
+from priors.adapt.training_frames import pick_evenly
 from priors.adapt.training_step import Batch
 from priors.adapt.views import to_tensor
 from priors.learn import pair_file, stereo_augment, warp
@@ -132,13 +132,12 @@ def validation(folders: Folders, count: int = 24, warped: int = 2) -> list[Stere
 
 
 def collate(pairs: Sequence[StereoPair]) -> Batch:
-    """Stack pairs of one size: left, right (b, 3, h, w), channels-last; disparity_px, known, sky, weight (b, h, w).
+    """Stack pairs of one size: left, right (b, 3, h, w), channels-last; disparity_px, sky, weight (b, h, w).
 
-    All are float32, colours in [0, 1]; known and sky are 0 or 1.
+    All are float32, colours in [0, 1]; the sky is 1, else 0.
     """
     maps: dict[str, list[npt.NDArray[Any]]] = {
         "disparity_px": [pair.disparity_px for pair in pairs],
-        "known": [pair.known for pair in pairs],
         "sky": [pair.sky for pair in pairs],
         "weight": [pair.weight for pair in pairs],
     }

@@ -111,7 +111,7 @@ def _other_camera(rng: np.random.Generator, size: tuple[int, int]) -> Camera:
     return Camera(K, size)
 
 
-def _sway(rng: np.random.Generator, wide: bool) -> Matrix:
+def _sway(rng: np.random.Generator, *, wide: bool) -> Matrix:
     """Return where the camera is and looks beside the rig's own place."""
     T = np.eye(4)
     degrees = rng.normal(0, [0.6, 1.5, 0.5]) if not wide else rng.normal(0, [2.0, 15.0, 1.5])
@@ -137,8 +137,8 @@ def _scan(
     elevation = np.arctan2(xyz[:, 2], np.hypot(xyz[:, 0], xyz[:, 1]))
     middles = 0.5 * (lidar.ELEVATIONS_RAD[:-1] + lidar.ELEVATIONS_RAD[1:])
     beam = (63 - np.searchsorted(middles[::-1], elevation)).astype(np.uint8)
-    seen = geometry.transform(T_cam_velo, xyz)
-    uv, depth_m = geometry.project(camera, seen)
+    xyz_cam_m = geometry.transform(T_cam_velo, xyz)
+    uv, depth_m = geometry.project(camera, xyz_cam_m)
     height, width = camera.size
     inside = (depth_m > 0.5) & np.all((uv > -0.5) & (uv < [width - 0.5, height - 0.5]), axis=1)
-    return seen[inside].astype(np.float32), beam[inside]
+    return xyz_cam_m[inside].astype(np.float32), beam[inside]

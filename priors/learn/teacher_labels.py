@@ -74,7 +74,7 @@ def label(net: nn.Module, view: EyeView, config: TeacherConfig) -> None:
     """Write the map of one view, if it is not there."""
     path = config.out / f"{view.name}.npy"
     if not path.exists():
-        codecs.write_atomically(path, partial(_save, predict(net, view, config.bf16)))
+        codecs.write_atomically(path, partial(_save, predict(net, view, bf16=config.bf16)))
         print(path, flush=True)
 
 
@@ -94,7 +94,7 @@ def load(peer: Path, name: str, weights: Path) -> nn.Module:
     return net.eval()
 
 
-def predict(net: nn.Module, view: EyeView, bf16: bool = False) -> FloatMap:
+def predict(net: nn.Module, view: EyeView, *, bf16: bool = False) -> FloatMap:
     """Return the disparity (h, w), px, in the view's own pixels: a right eye's map is turned back from the mirror."""
     height, width = view.left.shape[:2]
     with torch.inference_mode(), torch.autocast("cpu", torch.bfloat16, enabled=bf16):

@@ -45,7 +45,7 @@ def draw_pair(scene: DisparityImage, filler: Image, rng: np.random.Generator, cr
     return warp(replace(scene, disparity_px=bend(scene.disparity_px, rng)), filler, swap=rng.random() < 0.5)
 
 
-def warp(scene: DisparityImage, filler: Image, swap: bool = False) -> StereoPair:
+def warp(scene: DisparityImage, filler: Image, *, swap: bool = False) -> StereoPair:
     """Make the pair of which the scene is the left view (h, w); every disparity is known.
 
     Args:
@@ -65,10 +65,10 @@ def warp(scene: DisparityImage, filler: Image, swap: bool = False) -> StereoPair
     pair = StereoPair(scene.image, right, scene.disparity_px, scene.sky, everywhere, "warped")
     if not swap:
         return pair
-    seen = seen_px >= 0
+    visible = seen_px >= 0
     from_column = np.clip(np.rint(column), 0, column.shape[1] - 1).astype(np.intp)
-    right_sky = np.take_along_axis(scene.sky, from_column, axis=1) & seen
-    return mirror(pair, seen_px, seen, right_sky)
+    right_sky = np.take_along_axis(scene.sky, from_column, axis=1) & visible
+    return mirror(pair, seen_px, visible, right_sky)
 
 
 def bend(disparity_px: FloatMap, rng: np.random.Generator) -> FloatMap:

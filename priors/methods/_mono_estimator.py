@@ -69,7 +69,7 @@ def by_drive(
     on_note: Callable[[str], None],
 ) -> Align:
     """Align every frame by one line, fitted to some of these frames of the drive."""
-    from priors.adapt.selection import MOST_VIEWS, pick_evenly
+    from priors.adapt.training_frames import MOST_VIEWS, pick_evenly
 
     few = pick_evenly(indices, MOST_VIEWS)
     frames = [drive[index] for index in few[:: max(1, len(few) // MOST_ALIGNED)]]

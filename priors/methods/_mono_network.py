@@ -88,4 +88,4 @@ def _adapt(
     def tell(done: float, error: float) -> None:
         on_note(f"mono: adapting, {done:.0%}: {supervision.measures} {error:.3f}")
 
-    return fine_tune(net, supervision, config, tell, bf16)
+    return fine_tune(net, supervision, config, tell, bf16=bf16)

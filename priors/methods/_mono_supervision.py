@@ -11,7 +11,7 @@ from priors import geometry
 from priors.adapt.depth_supervision import DepthSupervision
 from priors.adapt.finetune import AdaptConfig, Supervision
 from priors.adapt.posed_views import pair_up
-from priors.adapt.selection import MOST_VIEWS, pick_evenly, read_each
+from priors.adapt.training_frames import MOST_VIEWS, pick_evenly, read_each
 from priors.adapt.video_supervision import LEARNING_RATE, VideoSupervision, read_posed_view
 from priors.adapt.views import LabelledView, label_sky
 from priors.errors import DataError
@@ -58,7 +58,7 @@ def by_video(drive: Drive, indices: Sequence[int]) -> PlannedSupervision:
 
     def read(start: nn.Module, bf16: bool) -> Supervision:
         views = read_each(
-            drive, list(pairs), lambda i: read_posed_view(drive, i, pairs[i], start, bf16), "posed images"
+            drive, list(pairs), lambda i: read_posed_view(drive, i, pairs[i], start, bf16=bf16), "posed images"
         )
         return VideoSupervision(views)
 

@@ -127,7 +127,7 @@ class Mono(Method):
         """
         if not self._needs_drive:
             return self
-        from priors.adapt.selection import training_views
+        from priors.adapt.training_frames import training_views
 
         indices = training_views(len(drive), select(drive.ids, self.frames), self.hold_out)
         network = self.network
@@ -161,7 +161,7 @@ class Mono(Method):
         """Return what the network gives: metric-depth, relative-depth or disparity."""
         if self._foreign is None:
             return "metric-depth"
-        from priors.methods._mono_foreign import describe
+        from priors.methods._mono_description import describe
 
         return describe(self._foreign).output
 

@@ -50,16 +50,17 @@ class Exact(nn.Sequential):
     def forward(self, x: Tensor) -> Tensor:
         """Run both."""
         first, last = self
-        assert isinstance(last, nn.Conv2d | nn.Conv3d) and last.bias is not None
+        if not isinstance(last, nn.Conv2d | nn.Conv3d):
+            raise TypeError(f"{last}: expected a convolution as the last layer")
         run = F.conv2d if isinstance(last, nn.Conv2d) else F.conv3d
-        values = first(x).float(), last.weight.float(), last.bias.float()
+        values = first(x).float(), last.weight.float(), bias_of(last).float()
         return run(*values, last.stride, last.padding, last.dilation)
 
 
 class UpsampleConv(nn.Sequential):
     """A 3D convolution of a volume of half the size, repeated to full size, on top of one of full size.
 
-    Repeating first and convolving then is how it was learned; fused.py and planes.py know quicker ways to the same.
+    Repeating first and convolving then is how it was learned; fused.py and onnx_volume.py know quicker ways.
     """
 
     def forward(self, small: Tensor, plus: Tensor) -> Tensor:  # type: ignore[override]
@@ -67,17 +68,39 @@ class UpsampleConv(nn.Sequential):
         return plus + super().forward(F.interpolate(small, scale_factor=2.0, mode="nearest"))
 
 
+def conv_of(sequence: nn.Sequential) -> nn.Conv2d | nn.Conv3d:
+    """Return the convolution that a sequence begins with; TypeError where it begins with something else."""
+    first = sequence[0]
+    if not isinstance(first, nn.Conv2d | nn.Conv3d):
+        raise TypeError(f"{sequence}: expected a convolution as the first layer")
+    return first
+
+
+def conv3d_of(sequence: nn.Sequential) -> nn.Conv3d:
+    """Return the 3D convolution that a sequence begins with; TypeError where it begins with something else."""
+    first = sequence[0]
+    if not isinstance(first, nn.Conv3d):
+        raise TypeError(f"{sequence}: expected a 3D convolution as the first layer")
+    return first
+
+
+def bias_of(layer: nn.Conv2d | nn.Conv3d) -> Tensor:
+    """Return a convolution's bias; TypeError where it has none, as before `fold`."""
+    if layer.bias is None:
+        raise TypeError(f"{layer}: expected a bias: fold the network first")
+    return layer.bias
+
+
 def both(x: Tensor, first: nn.Conv2d, second: nn.Conv2d) -> tuple[Tensor, Tensor]:
     """Run two layers of one shape but for their outputs, (b, c, h, w) each, in one pass over what they look at.
 
     A head of one channel takes a CPU as long as one of sixteen.
     """
-    assert first.bias is not None and second.bias is not None
-    weight, bias = torch.cat([first.weight, second.weight]), torch.cat([first.bias, second.bias])
+    weight, bias = torch.cat([first.weight, second.weight]), torch.cat([bias_of(first), bias_of(second)])
     if x.device.type == "cpu":
         weight = weight.contiguous(memory_format=torch.channels_last)
-    found = F.conv2d(x, weight, bias, first.stride, first.padding, first.dilation)
-    a, b = found.split([first.out_channels, second.out_channels], dim=1)
+    joint = F.conv2d(x, weight, bias, first.stride, first.padding, first.dilation)
+    a, b = joint.split([first.out_channels, second.out_channels], dim=1)
     return a, b
 
 

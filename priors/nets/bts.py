@@ -18,7 +18,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from priors.errors import DataError
-from priors.nets.blocks import Exact, conv
+from priors.nets.blocks import Exact, bias_of, conv
 from priors.nets.mobile import Mobile
 from priors.nets.tensors import join
 from priors.nets.trunk import SIZES, Trunk, normalise, pad
@@ -86,8 +86,8 @@ class Bts(nn.Module):
         height, width = image.shape[-2:]
         K = K.float()
         image = pad(normalise(image))
-        seen = torch.cat([image, places(K, image)], dim=1).to(self.mix.weight.dtype)
-        levels = self.trunk(seen.contiguous(memory_format=torch.channels_last))
+        inputs = torch.cat([image, places(K, image)], dim=1).to(self.mix.weight.dtype)
+        levels = self.trunk(inputs.contiguous(memory_format=torch.channels_last))
         context = self.context(levels[1])
         log_m, slopes = self._planes(self.coarse, context, STEEPEST_EIGHTH)
         guide = F.pixel_shuffle(log_m - torch.log(tilt(slopes, 2)), 2)
@@ -128,10 +128,10 @@ class Aspp(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """Look."""
-        found = self.first(features)
+        context = self.first(features)
         for look in self.around:
-            found = torch.cat([found, look(found)], dim=1)
-        return self.last(found)
+            context = torch.cat([context, look(context)], dim=1)
+        return self.last(context)
 
 
 def places(K: Tensor, image: Tensor) -> Tensor:
@@ -195,7 +195,7 @@ def head(inputs: int, outputs: int) -> Exact:
     """Return layers that end in a 1x1 convolution which starts at 0."""
     last = nn.Conv2d(32, outputs, 1)
     nn.init.normal_(last.weight, std=1e-3)
-    nn.init.zeros_(last.bias)  # type: ignore[arg-type]
+    nn.init.zeros_(bias_of(last))
     first = conv(inputs, 32)
     first[-1] = nn.LeakyReLU(0.1, inplace=True)  # with a ReLU all features die in the sky, and nothing is learned there
     return Exact(first, last)
@@ -205,6 +205,5 @@ def conv1x1(layer: nn.Conv2d, features: Tensor) -> Tensor:
     """Run a 1x1 convolution whose result (b, c, h, w) lies channel by channel, whatever its input's layout."""
     batch, inputs, height, width = features.shape
     pixels = features.permute(0, 2, 3, 1).reshape(batch, height * width, inputs)
-    assert layer.bias is not None
-    out = torch.matmul(layer.weight.view(-1, inputs), pixels.transpose(1, 2)) + layer.bias[:, None]
+    out = torch.matmul(layer.weight.view(-1, inputs), pixels.transpose(1, 2)) + bias_of(layer)[:, None]
     return out.view(batch, -1, height, width)

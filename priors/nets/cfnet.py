@@ -103,11 +103,11 @@ class Half(nn.Module):
             the match; doubt (b, 1, h, w); upsampling logits (b, 36, h, w).
         """
         position = self.range(disparity_px, sigmas_px[0])
-        seen, other = self._features(*left), self._features(*right)
+        ours, theirs = self._features(*left), self._features(*right)
         spread = torch.stack([torch.log(s + 0.05) for s in sigmas_px], dim=3)
         where = position - disparity_px[..., None]
-        heads = self.head(seen), self.head(other)
-        before, after = [seen.permute(0, 2, 3, 1)], [spread, where]
+        heads = self.head(ours), self.head(theirs)
+        before, after = [ours.permute(0, 2, 3, 1)], [spread, where]
         body = self.body(lookup_beside(before, *heads, position, self.groups, after))
         logits, doubt = both(body, self.logits, self.doubt)
         logits = logits.permute(0, 2, 3, 1)
@@ -151,4 +151,4 @@ class Cfnet(nn.Module):
         disparity, sigma4, sigma8 = finer(maps, self.to_half(ours[0]))
         half, doubt, weights = self.fine((image, ours[0]), (other, theirs[0]), disparity, [sigma4, sigma8])
         maps = finer([half.disparity_px, half.sigma_px], weights)
-        return StereoOut.whole(maps, doubt, [coarse, quarter, half], size, self.training)
+        return StereoOut.whole(maps, doubt, [coarse, quarter, half], size, training=self.training)

@@ -46,10 +46,10 @@ class ConfidenceCalibration:
     @classmethod
     def read(cls, about: dict[str, Any]) -> Self:
         """Take the calibration from the header of weights; where there is none the network is believed."""
-        found = about.get("calibration")
-        if found is None:
+        table = about.get("calibration")
+        if table is None:
             return cls.trusting()
-        return cls(*(tuple(map(float, found[name])) for name in ("weights", "scores", "probabilities")))
+        return cls(*(tuple(map(float, table[name])) for name in ("weights", "scores", "probabilities")))
 
     @classmethod
     def trusting(cls) -> Self:
@@ -67,11 +67,13 @@ class ConfidenceCalibration:
 
     def score(self, terms: Iterable[FloatMap]) -> FloatMap:
         """Return the score (...): higher is worse; terms are five of (...)."""
-        total: FloatMap | None = None
-        for weight, term in zip(self.weights, terms, strict=True):  # a matrix product wakes threads
-            part = np.multiply(term, np.float32(weight), dtype=np.float32)
-            total = part if total is None else np.add(total, part, out=total)
-        assert total is not None
+        # One term after the other: a matrix product would wake threads.
+        parts = (
+            np.multiply(term, np.float32(w), dtype=np.float32) for w, term in zip(self.weights, terms, strict=True)
+        )
+        total = next(parts)
+        for part in parts:
+            np.add(total, part, out=total)
         return total
 
     def probability(self, score: FloatMap) -> FloatMap:
@@ -79,14 +81,14 @@ class ConfidenceCalibration:
         from priors.kernels import confidence as kernels
 
         values = np.ascontiguousarray(score, np.float32)
-        found = np.empty(values.shape, np.float32)
+        chance = np.empty(values.shape, np.float32)
         table = np.array(self.scores, np.float32), np.array(self.probabilities, np.float32)
-        flat, out = values.reshape(-1), found.reshape(-1)
+        flat, out = values.reshape(-1), chance.reshape(-1)
         block = threads.worth(0.2 * len(self.scores))
         threads.over(
             flat.size, lambda first, last: kernels.interpolate(flat[first:last], *table, out[first:last]), block
         )
-        return found
+        return chance
 
 
 def evidence(disparity_px: FloatMap, sigma_px: FloatMap, doubt: FloatMap) -> FloatMap:

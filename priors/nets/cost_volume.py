@@ -89,11 +89,11 @@ def shift(right: Tensor, disparity_px: Tensor) -> Tensor:
     share = (column - first)[..., None].to(right.dtype)
     index = first.long()
     pair = torch.stack([index, (index + 1).clamp(max=width - 1)], dim=3)
-    near, far = _gather(right, pair).view(batch, height, width, 2, channels).unbind(3)
+    near, far = _fetch(right, pair).view(batch, height, width, 2, channels).unbind(3)
     return torch.lerp(near, far, share) * inside[..., None].to(right.dtype)
 
 
-def _gather(right: Tensor, column: Tensor) -> Tensor:
+def _fetch(right: Tensor, column: Tensor) -> Tensor:
     """Fetch right features (b, h, w, c) at columns (b, h, w, n) of the same row: (b * h * w, n, c)."""
     batch, height, width, channels = right.shape
     row = torch.arange(batch * height, device=right.device).view(batch, height, 1, 1) * width
@@ -104,12 +104,12 @@ def _gather(right: Tensor, column: Tensor) -> Tensor:
 def _dot(left: Tensor, right: Tensor, column: Tensor, groups: int) -> Tensor:
     """Multiply left (b, h, w, c) with right at columns (b, h, w, n), group by group: (b, h, w, n, groups)."""
     batch, height, width, channels = left.shape
-    found = _gather(right, column)
+    theirs = _fetch(right, column)
     # One product of small matrices a pixel: the left features stand in the column of their group, zeros elsewhere.
     member = torch.arange(channels, device=left.device)[:, None] // (channels // groups)
     spread = (member == torch.arange(groups, device=left.device)).to(left.dtype)
     blocks = left.reshape(-1, channels, 1) * spread
-    return torch.matmul(found, blocks).view(batch, height, width, column.shape[3], groups)
+    return torch.matmul(theirs, blocks).view(batch, height, width, column.shape[3], groups)
 
 
 def expect(logits: Tensor, position_px: Tensor, window: int | None = None) -> tuple[Tensor, Tensor]:

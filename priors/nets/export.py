@@ -45,8 +45,8 @@ class _Flat(nn.Module):
         self.net, self.largest_px = net, largest_px
 
     def forward(self, left: Tensor, right: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        found = self.net(left, right, self.largest_px)
-        return found.disparity_px, found.sigma_px, found.doubt
+        out = self.net(left, right, self.largest_px)
+        return out.disparity_px, out.sigma_px, out.doubt
 
 
 def to_onnx(ready: Ready, size: tuple[int, int], largest_px: int) -> bytes:
@@ -97,7 +97,7 @@ class Graph:
             for name, image in (("left", left), ("right", right))
         }
         with self.lock:
-            disparity_px, sigma_px, doubt = (found[0, :height, :width] for found in self.session.run(OUTPUTS, feeds))
+            disparity_px, sigma_px, doubt = (map_[0, :height, :width] for map_ in self.session.run(OUTPUTS, feeds))
         return disparity_px, sigma_px, doubt
 
 
@@ -106,7 +106,7 @@ class Graphs:
 
     def __init__(self, ready: Ready) -> None:
         self.ready = ready
-        self.made: OrderedDict[tuple[int, int, int], Graph] = OrderedDict()
+        self.graphs: OrderedDict[tuple[int, int, int], Graph] = OrderedDict()
         self.lock = threading.Lock()
 
     def __call__(self, left: Tensor, right: Tensor, largest_px: int) -> tuple[Floats, Floats, Floats]:
@@ -114,12 +114,12 @@ class Graphs:
         height, width = (-(-int(side) // 32) * 32 for side in left.shape[-2:])
         with self.lock:
             key = (height, width, largest_px)
-            if key not in self.made:
-                self.made[key] = Graph(to_onnx(self.ready, (height, width), largest_px))
-                while len(self.made) > KEPT:
-                    self.made.popitem(last=False)
-            self.made.move_to_end(key)
-            graph = self.made[key]
+            if key not in self.graphs:
+                self.graphs[key] = Graph(to_onnx(self.ready, (height, width), largest_px))
+                while len(self.graphs) > KEPT:
+                    self.graphs.popitem(last=False)
+            self.graphs.move_to_end(key)
+            graph = self.graphs[key]
         return graph(left, right)
 
 

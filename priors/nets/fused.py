@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from priors.machine import threads
-from priors.nets.blocks import Exact, Residual, UpsampleConv
+from priors.nets.blocks import Exact, Residual, UpsampleConv, bias_of, conv3d_of, conv_of
 from priors.nets.int8 import ActivationRange, IntegerConv
 from priors.nets.tensors import as_bits
 
@@ -47,7 +47,7 @@ def fuse(net: Net) -> Net:
         elif _is_planar(child):
             setattr(net, name, FusedPlanes(child))
         elif isinstance(child, nn.Sequential) and _is_pair(child):
-            setattr(net, name, _quick(_conv_of(child), child[-1]))
+            setattr(net, name, _quick(conv_of(child), child[-1]))
         elif isinstance(child, nn.ModuleList | nn.Sequential) or len(list(child.children())):
             fuse(child)
     return net
@@ -100,17 +100,17 @@ class FusedPlanes(nn.Module):
     def __init__(self, conv: nn.Conv3d) -> None:
         super().__init__()
         self.conv = conv
-        self._made: dict[int, FusedConv] = {}
+        self._layers: dict[int, FusedConv] = {}
 
     def forward(self, x: Tensor, plus: Tensor | None = None) -> Tensor:
         """Return conv(x) + plus: (b, channels, h, w, planes) -> (b, 1, h, w, planes)."""
         batch, channels, height, width, planes = x.shape
-        if planes not in self._made:
-            self._made[planes] = FusedConv(spread_over_planes(self.conv, planes))
+        if planes not in self._layers:
+            self._layers[planes] = FusedConv(spread_over_planes(self.conv, planes))
         flat = x.permute(0, 2, 3, 4, 1).reshape(batch, height, width, planes * channels).permute(0, 3, 1, 2)
         given = None if plus is None else plus[:, 0].permute(0, 3, 1, 2)
-        found: Tensor = self._made[planes](flat, given)
-        return found.permute(0, 2, 3, 1)[:, None]
+        planes_out: Tensor = self._layers[planes](flat, given)
+        return planes_out.permute(0, 2, 3, 1)[:, None]
 
 
 def spread_over_planes(conv: nn.Conv3d, planes: int) -> nn.Conv2d:
@@ -129,8 +129,7 @@ def spread_over_planes(conv: nn.Conv3d, planes: int) -> nn.Conv2d:
     if conv.bias is None:
         flat.bias = None
     else:
-        assert flat.bias is not None
-        flat.bias.data = conv.bias.detach().expand(planes).clone()
+        bias_of(flat).data = conv.bias.detach().expand(planes).clone()
     return flat
 
 
@@ -139,7 +138,7 @@ class FusedResidual(nn.Module):
 
     def __init__(self, block: Residual) -> None:
         super().__init__()
-        self.first, self.second = (_quick(_conv_of(part), nn.ReLU()) for part in (block.first, block.second))
+        self.first, self.second = (_quick(conv_of(part), nn.ReLU()) for part in (block.first, block.second))
 
     def forward(self, x: Tensor) -> Tensor:
         """Add what the convolutions find."""
@@ -155,19 +154,17 @@ class FusedUpsampleConv(nn.Module):
     are left of three, other ones at even places than at odd ones: a 2x2x2 kernel for each of the eight kinds of place.
     """
 
-    def __init__(self, climb: UpsampleConv) -> None:
+    def __init__(self, block: UpsampleConv) -> None:
         super().__init__()
-        conv = _conv_of(climb)
-        assert isinstance(conv, nn.Conv3d)
-        self.conv = FusedConv(split_by_place(conv), climb[-1])
+        self.conv = FusedConv(split_by_place(conv3d_of(block)), block[-1])
 
     def forward(self, small: Tensor, plus: Tensor) -> Tensor:
         """Take volumes (b, inputs, h / 2, w / 2, planes / 2) and (b, outputs, h, w, planes)."""
         from priors.kernels import upsample_conv as kernels
 
-        found, given = (volume.permute(0, 2, 3, 4, 1) for volume in (self.conv(small), plus))
+        answers, given = (volume.permute(0, 2, 3, 4, 1) for volume in (self.conv(small), plus))
         out = torch.empty(given.shape, dtype=plus.dtype)
-        bits = as_bits(given.flatten(0, 1)), as_bits(found), as_bits(out.flatten(0, 1))
+        bits = as_bits(given.flatten(0, 1)), as_bits(answers), as_bits(out.flatten(0, 1))
         threads.over(bits[0].shape[0], lambda first, last: kernels.add_interleaved(*bits, first, last))
         return out.permute(0, 4, 1, 2, 3)
 
@@ -180,12 +177,11 @@ def split_by_place(conv: nn.Conv3d) -> nn.Conv3d:
     """
     taps = conv.weight.new_tensor([[[1, 0, 0], [0, 1, 1]], [[1, 1, 0], [0, 0, 1]]], dtype=torch.float32)
     weight = torch.einsum("oiabc,pxa,qyb,rzc->pqroixyz", conv.weight.detach().float(), taps, taps, taps)
-    made = nn.Conv3d(conv.in_channels, 8 * conv.out_channels, 2, padding=1).to(conv.weight.dtype)
+    layer = nn.Conv3d(conv.in_channels, 8 * conv.out_channels, 2, padding=1).to(conv.weight.dtype)
     weight = weight.flatten(0, 3).to(conv.weight.dtype)
-    made.weight.data = weight.contiguous(memory_format=torch.channels_last_3d)
-    assert conv.bias is not None and made.bias is not None  # folded
-    made.bias.data = conv.bias.detach().repeat(8)
-    return made
+    layer.weight.data = weight.contiguous(memory_format=torch.channels_last_3d)
+    bias_of(layer).data = bias_of(conv).detach().repeat(8)
+    return layer
 
 
 class FusedExact(nn.Module):
@@ -198,8 +194,9 @@ class FusedExact(nn.Module):
     def __init__(self, head: Exact) -> None:
         super().__init__()
         first, last = head
-        assert isinstance(first, nn.Sequential) and isinstance(last, nn.Conv2d | nn.Conv3d)
-        self.first = FusedConv(_conv_of(first), first[-1])
+        if not (isinstance(first, nn.Sequential) and isinstance(last, nn.Conv2d | nn.Conv3d)):
+            raise TypeError(f"{head}: expected a block and a convolution")
+        self.first = FusedConv(conv_of(first), first[-1])
         self.last = FusedPlanes(last) if _is_planar(last) else FusedConv(last)
 
     def forward(self, x: Tensor) -> Tensor:
@@ -237,9 +234,3 @@ def _is_planar(layer: nn.Module) -> TypeGuard[nn.Conv3d]:
 def _post_operation(after: nn.Module | None) -> tuple[str, list[float]] | None:
     """Return oneDNN's name and numbers for what follows a convolution."""
     return None if after is None else AFTER[type(after)](after)
-
-
-def _conv_of(sequence: nn.Sequential) -> nn.Conv2d | nn.Conv3d:
-    first = sequence[0]
-    assert isinstance(first, nn.Conv2d | nn.Conv3d)
-    return first

@@ -68,8 +68,8 @@ class _Flat(nn.Module):
         self.net, self.outputs = net, outputs
 
     def forward(self, *inputs: Tensor) -> tuple[Tensor, ...]:
-        found = self.net(*inputs)
-        return tuple(getattr(found, name) for name in self.outputs)
+        out = self.net(*inputs)
+        return tuple(getattr(out, name) for name in self.outputs)
 
 
 def write_down(
@@ -122,7 +122,7 @@ class Portable:
 
     def __init__(self, ready: Ready, name: str) -> None:
         self.ready, self.name = ready, name
-        self.made: OrderedDict[tuple[torch.Size, ...], Any] = OrderedDict()
+        self.sessions: OrderedDict[tuple[torch.Size, ...], Any] = OrderedDict()
         self.lock = threading.Lock()
 
     def __call__(self, *inputs: Tensor) -> Any:
@@ -130,14 +130,14 @@ class Portable:
         form = FORMS[self.name]
         key = tuple(value.shape for value in inputs)
         with self.lock:
-            if key not in self.made:
-                self.made[key] = open_session(to_onnx(self.ready, self.name, inputs))
-                while len(self.made) > KEPT:
-                    self.made.popitem(last=False)
-            self.made.move_to_end(key)
+            if key not in self.sessions:
+                self.sessions[key] = open_session(to_onnx(self.ready, self.name, inputs))
+                while len(self.sessions) > KEPT:
+                    self.sessions.popitem(last=False)
+            self.sessions.move_to_end(key)
             feeds = {name: np.ascontiguousarray(value.numpy()) for name, value in zip(form.inputs, inputs, strict=True)}
-            found = self.made[key].run(form.outputs, feeds)
-        return form.result(*map(torch.from_numpy, found))
+            outputs = self.sessions[key].run(form.outputs, feeds)
+        return form.result(*map(torch.from_numpy, outputs))
 
 
 def open_portable(name: str, size: str, file: Path | None = None) -> Portable:

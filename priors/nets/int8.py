@@ -68,8 +68,8 @@ class IntegerConv(nn.Module):
         scale, zero, kind = (1.0, 0, x.dtype) if to is None else (to.scale, to.zero, torch.uint8)
         run = torch.ops.onednn.qconv2d_pointwise
         if plus is None:
-            found: Tensor = run(*given, self.bias, *self.shape, self.groups, scale, zero, kind, "relu", [], "")
-            return found
+            out: Tensor = run(*given, self.bias, *self.shape, self.groups, scale, zero, kind, "relu", [], "")
+            return out
         total = plus.clone()  # it is added to in place
         return run.binary(
             *given, total, self.bias, *self.shape, self.groups, 1.0, 0, plus.dtype, 1.0, 0, "sum", 1.0, "relu", [], ""
@@ -124,12 +124,12 @@ def read(file: Path) -> dict[str, ActivationRange]:
     """Read the ranges of a file of weights; DataError where there are none or they are of other weights."""
     path = beside(file)
     try:
-        found = json.loads(path.read_text())
+        record = json.loads(path.read_text())
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: no ranges for int8: make them with python -m priors.learn.int8_ranges") from error
-    if found.get("weights") != weights.digest(file):
+    if record.get("weights") != weights.digest(file):
         raise DataError(f"{path}: ranges of other weights: make them again with python -m priors.learn.int8_ranges")
-    return {name: ActivationRange(*ends) for name, ends in found["ranges"].items()}
+    return {name: ActivationRange(*ends) for name, ends in record["ranges"].items()}
 
 
 def runs(net: str | None, size: str, file: Path | None = None) -> bool:

@@ -66,8 +66,8 @@ def lookup(
         more = [] if also is None else [also.permute(0, 3, 1, 2).split(1, dim=1)]
         return Planes([torch.cat(parts, dim=1) for parts in zip(maps, *more, strict=True)])
     if not without_gradient(left):
-        found = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups).to(left.dtype)
-        return found if also is None else torch.cat([found, also[:, None].to(found.dtype)], dim=1)
+        matches = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups).to(left.dtype)
+        return matches if also is None else torch.cat([matches, also[:, None].to(matches.dtype)], dim=1)
     from priors.kernels import cost_volume as kernels
 
     out = torch.empty(*disparity_px.shape, groups + (also is not None), dtype=left.dtype)
@@ -97,8 +97,8 @@ def lookup_beside(
     if is_traced():
         return onnx_matching.lookup_beside(before, left, right, disparity_px, groups, after)
     if not without_gradient(left):
-        found = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups)
-        return side_by_side(*before, found.permute(0, 2, 3, 1, 4).flatten(3), *after)
+        matches = lookup_units(unit(left, groups), unit(right, groups), disparity_px, groups)
+        return side_by_side(*before, matches.permute(0, 2, 3, 1, 4).flatten(3), *after)
     from priors.kernels import cost_volume as kernels
 
     first = before[0] if len(before) == 1 else torch.cat([map_.to(before[0].dtype) for map_ in before], dim=3)
@@ -130,8 +130,8 @@ def lookup_units(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int)
     """Match unit features (b, h, w, c) with gradients, or on a GPU, or for export; see cost_volume.lookup."""
     if not on_cpu(left):
         return cost_volume.lookup(left, right, disparity_px, groups)
-    found: Tensor = _Match.apply(left, right, disparity_px, groups)
-    return found.permute(0, 4, 1, 2, 3)
+    matches: Tensor = _Match.apply(left, right, disparity_px, groups)
+    return matches.permute(0, 4, 1, 2, 3)
 
 
 def _pair(left: Tensor, right: Tensor) -> tuple[Any, Any]:

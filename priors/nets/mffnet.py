@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from priors.errors import DataError
 from priors.machine import threads
-from priors.nets.blocks import Residual, conv
+from priors.nets.blocks import Residual, bias_of, conv
 from priors.nets.tensors import as_bits, join, without_gradient
 from priors.nets.trunk import normalise, pad
 
@@ -59,9 +59,8 @@ class Mffnet(nn.Module):
         self.ladder = nn.ModuleList(conv(a + b // 4, a) for a, b in steps[1:])
         self.meet = conv(3 * finest + quarter // 4, 2 * finest)
         self.head = nn.Conv2d(2 * finest, 16, 3, padding=1)
-        assert self.head.bias is not None
         nn.init.zeros_(self.head.weight)  # the pre-fill is where training starts
-        nn.init.zeros_(self.head.bias)
+        nn.init.zeros_(bias_of(self.head))
 
     def forward(self, image: Tensor, fill_m: Tensor, certain: Tensor, sparse_m: Tensor) -> Completed:
         """Correct a pre-fill.
@@ -80,8 +79,8 @@ class Mffnet(nn.Module):
         depth = describe(log_fill, certain, sparse_m, kind)
         image = normalise(image.to(kind, memory_format=torch.channels_last))
         raw = self._decode(*self._encode(pad(image), pad(depth)))
-        found = _correct(raw, log_fill) if without_gradient(raw) else correct(raw, log_fill, self.training)
-        mixed, scale, *branches = found
+        corrected = _correct(raw, log_fill) if without_gradient(raw) else correct(raw, log_fill, branches=self.training)
+        mixed, scale, *branches = corrected
         return Completed(mixed, (scale + FIRST_SCALE).clamp(SMALLEST_SCALE, LARGEST_SCALE), tuple(branches))
 
     def _encode(self, image: Tensor, depth: Tensor) -> tuple[list[Tensor], list[Tensor]]:
@@ -102,8 +101,8 @@ class Mffnet(nn.Module):
         for level in range(len(fused) - 2, -1, -1):
             first = self.up[level](join(self.lower[level + 1](first), depths[level + 1]))
             second = self.ladder[level](join(F.pixel_shuffle(second, 2), fused[level]))
-        found = self.meet(join(self.lower[0](first), F.pixel_shuffle(second, 2), depths[0], images[0]))
-        raw: Tensor = self.head(found)
+        merged = self.meet(join(self.lower[0](first), F.pixel_shuffle(second, 2), depths[0], images[0]))
+        raw: Tensor = self.head(merged)
         return raw
 
 
@@ -121,7 +120,7 @@ class Fuse(nn.Module):
         return joint + torch.lerp(depth, image, torch.sigmoid(self.gate(joint)))
 
 
-def correct(raw: Tensor, log_fill: Tensor, branches: bool) -> tuple[Tensor, ...]:
+def correct(raw: Tensor, log_fill: Tensor, *, branches: bool) -> tuple[Tensor, ...]:
     """Apply what the head says (b, 16, >= h / 2, >= w / 2) to a pre-fill's logarithm (b, h, w).
 
     Returns the mixed depth and the scale, each (b, h, w); if asked also the two depths before mixing.

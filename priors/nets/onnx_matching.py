@@ -57,12 +57,12 @@ def lookup(left: Tensor, right: Tensor, disparity_px: Tensor, groups: int) -> Te
     ours, theirs = (unit(view, groups).permute(0, 2, 3, 1) for view in (left, right))
     neighbours = torch.cat([theirs[:, :, 1:], theirs[:, :, -1:]], dim=2)
     pairs = torch.cat([theirs, neighbours], dim=3).reshape(-1, 2 * channels)
-    found = pairs.index_select(0, index).view(-1, 2 * planes, channels)
+    features = pairs.index_select(0, index).view(-1, 2 * planes, channels)
     # One product of small matrices a pixel: our features stand in the column of their group, zeros elsewhere.
     number = torch.arange(channels)
     place = (number * groups + number // (channels // groups))[:, None] == torch.arange(channels * groups)
     blocks = torch.matmul(ours.reshape(-1, channels), place.float()).view(-1, channels, groups)
-    products = torch.matmul(found, blocks).view(batch, height * width, 2 * planes * groups)
+    products = torch.matmul(features, blocks).view(batch, height * width, 2 * planes * groups)
     near, far = products.transpose(1, 2).reshape(batch, planes, 2, groups, height, width).unbind(2)
     return (near + (far - near) * share[:, :, None]) * inside[:, :, None]
 
@@ -71,8 +71,10 @@ def lookup_beside(
     before: Sequence[Tensor], left: Tensor, right: Tensor, disparity_px: Tensor, groups: int, after: Sequence[Tensor]
 ) -> Tensor:
     """Match between other maps (b, h, w, c); see matching.lookup_beside."""
-    found = lookup(left, right, disparity_px, groups).transpose(1, 2).flatten(1, 2)
-    return torch.cat([*(m.permute(0, 3, 1, 2) for m in before), found, *(m.permute(0, 3, 1, 2) for m in after)], dim=1)
+    matches = lookup(left, right, disparity_px, groups).transpose(1, 2).flatten(1, 2)
+    return torch.cat(
+        [*(m.permute(0, 3, 1, 2) for m in before), matches, *(m.permute(0, 3, 1, 2) for m in after)], dim=1
+    )
 
 
 def expect(logits: Tensor, position_px: Tensor, window: int | None) -> tuple[Tensor, Tensor]:

@@ -48,9 +48,9 @@ class Warping(nn.Module):
         here_px = disparity_px.detach()
         step = torch.arange(-self.reach_px, self.reach_px + 1, device=left.device, dtype=torch.float32)
         difference = unit(ours, GROUPS) - shift(unit(theirs, GROUPS), here_px)
-        known = torch.stack([here_px * 0.05, torch.log(sigma_px.detach() + 0.05)], dim=3)
+        told = torch.stack([here_px * 0.05, torch.log(sigma_px.detach() + 0.05)], dim=3)
         before = [left.permute(0, 2, 3, 1), difference]
-        compared = lookup_beside(before, ours, theirs, here_px[..., None] + step, GROUPS, [known])
+        compared = lookup_beside(before, ours, theirs, here_px[..., None] + step, GROUPS, [told])
         body = self.body(self.first(compared))
         refined = (disparity_px + self.change(body)[:, 0].float()).clamp(min=0)
         return refined, self.weights(body), body
@@ -90,5 +90,6 @@ class Pcwnet(nn.Module):
         disparity, sigma = finer([disparity4, sigma], weights)
         a, b = self.features(join(halves, self.lift(levels[0]))).chunk(2)
         disparity2, weights, body = self.fine(a, b, disparity, sigma)
-        found = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)]
-        return StereoOut.whole(finer([disparity2, sigma], weights), self.doubt(body), found, size, self.training)
+        matched = [coarse, Matched(disparity4, sigma), Matched(disparity2, sigma)]
+        maps = finer([disparity2, sigma], weights)
+        return StereoOut.whole(maps, self.doubt(body), matched, size, training=self.training)

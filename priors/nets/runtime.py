@@ -42,7 +42,7 @@ def choose(asked: Asked, file: Path | None = None, net: str | None = None, size:
             return "onnx"
         if torch.cuda.is_available():
             return "cuda"
-        return speeds.fastest(cpu.mode(), net, int8.runs(net, size, file))
+        return speeds.fastest(cpu.mode(), net, integers=int8.runs(net, size, file))
     if is_onnx and asked != "onnx":
         raise DataError(f"{file}: an ONNX file runs with runtime onnx, not {asked}")
     if asked == "int8" and not int8.available():
@@ -54,10 +54,10 @@ def choose(asked: Asked, file: Path | None = None, net: str | None = None, size:
 
 def choose_floating(asked: Asked, file: Path | None = None, net: str | None = None) -> Floating:
     """Decide as `choose` does, for networks that do not run on integers."""
-    chosen = choose(asked, file, net)
-    if chosen == "int8":
+    runtime = choose(asked, file, net)
+    if runtime == "int8":
         raise DataError("runtime int8: stereo networks alone run on integers: choose auto")
-    return chosen
+    return runtime
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,18 +119,18 @@ def open_net(name: str, size: str, runtime: Runtime, file: Path | None = None) -
     with _LOADING:
         if key not in _loaded:
             net = create(name, size)
-            found = weights.load(path)
-            weights.fill(net, found, name, size)
+            trained = weights.load(path)
+            weights.fill(net, trained, name, size)
             if runtime == "int8":
                 int8.mark(fold(net.eval()), path)
-            _loaded[key] = make_ready(net, runtime, found.about)
+            _loaded[key] = make_ready(net, runtime, trained.about)
         return _loaded[key]
 
 
 def create(name: str, size: str) -> nn.Module:
-    """Make a network with fresh weights: priors/nets/cfnet.py has a class Cfnet, made with its size."""
-    made: nn.Module = getattr(import_module(f"priors.nets.{name}"), name.capitalize())(size)
-    return made
+    """Make a network with fresh weights: priors/nets/cfnet.py has a class Cfnet, net with its size."""
+    net: nn.Module = getattr(import_module(f"priors.nets.{name}"), name.capitalize())(size)
+    return net
 
 
 def as_bytes(image: Image) -> Tensor:

@@ -26,11 +26,11 @@ OnCpu = Literal["bf16", "fp32", "int8", "onnx"]
 @cache
 def table() -> dict[str, Any]:
     """Return what was measured: machine, and for each mode and network the time of each runtime, in SGBM's times."""
-    found: dict[str, Any] = json.loads(FILE.read_text())
-    return found
+    measured: dict[str, Any] = json.loads(FILE.read_text())
+    return measured
 
 
-def fastest(mode: Mode, net: str | None, integers: bool = False) -> OnCpu:
+def fastest(mode: Mode, net: str | None, *, integers: bool = False) -> OnCpu:
     """Return what runs a network fastest on CPUs of a mode; `integers`: int8 can run it."""
     measured = table()["modes"].get(mode, {}).get("ratios", {}).get(net, {})
     there = {"bf16": True, "fp32": True, "int8": integers, "onnx": True}

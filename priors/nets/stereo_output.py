@@ -36,7 +36,7 @@ class StereoOut:
 
     @classmethod
     def whole(
-        cls, maps: list[Tensor], doubt: Tensor, stages: list[Matched], size: tuple[int, int], training: bool
+        cls, maps: list[Tensor], doubt: Tensor, stages: list[Matched], size: tuple[int, int], *, training: bool
     ) -> Self:
         """Crop the padded answer to the image's (height, width).
 

@@ -36,7 +36,7 @@ def find(net: str, size: str, file: Path | None = None) -> Path:
         return path
     if file is not None:
         raise DataError(f"{path}: no such file of weights")
-    there = sorted(found.stem for found in FOLDER.glob("*.safetensors"))
+    there = sorted(file.stem for file in FOLDER.glob("*.safetensors"))
     raise DataError(
         f"no weights for {net} in size {size} ({path.name}); there are {', '.join(there) or 'none'}: "
         "choose another size, train it (`priors train`), or name a file"
@@ -76,9 +76,9 @@ def read_about(path: Path) -> dict[str, Any]:
 def fill(net: nn.Module, weights: Weights, name: str, size: str) -> None:
     """Put weights into a network, as float32; DataError where they are another network's or size's."""
     for what, wanted in (("net", name), ("size", size)):
-        found = weights.about.get(what)
-        if found is not None and found != wanted:
-            raise DataError(f"{weights.path}: weights of {what} {found}, asked for {wanted}: name the one or the other")
+        held = weights.about.get(what)
+        if held is not None and held != wanted:
+            raise DataError(f"{weights.path}: weights of {what} {held}, asked for {wanted}: name the one or the other")
     wanted_shapes = {key: value.shape for key, value in net.state_dict().items() if not _counts(key)}
     shapes = {key: value.shape for key, value in weights.tensors.items() if not _counts(key)}
     if shapes != wanted_shapes:

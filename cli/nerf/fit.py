@@ -8,7 +8,7 @@ import tyro
 
 from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import err, fit_progress, out, progress
-from cli.report import LpipsArguments, print_table
+from cli.nerf.eval import LpipsArguments, print_table
 from nerf import checkpoint, fields
 from nerf.config import FitConfig, ModelConfig
 from nerf.losses import LossConfig

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from cli.arguments import parse
 from cli.console import out
-from cli.views import RunArguments
+from cli.nerf.arguments import RunArguments
 from nerf.viewpoints import read_poses
 
 EXAMPLES = """Render views: rgb/, depth/ (16-bit PNG, metres x 256) and depth_colour/ for each.

@@ -10,8 +10,8 @@ import tyro
 
 from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
-from cli.fit import FieldName, seconds
-from cli.report import LpipsArguments
+from cli.nerf.eval import LpipsArguments
+from cli.nerf.fit import FieldName, seconds
 from eval import typeset
 from nerf import study_table
 from nerf.config import FitConfig

@@ -8,7 +8,7 @@ import tyro
 
 from cli.arguments import parse
 from cli.console import out, progress
-from cli.views import RunArguments
+from cli.nerf.arguments import RunArguments
 from nerf.export import CloudConfig, write_cloud, write_mesh
 
 EXAMPLES = """Write a coloured point cloud (.ply), or a mesh (.ply, .obj, .glb; needs open3d), in the drive's frame.

@@ -7,7 +7,7 @@ import tyro
 
 from cli.arguments import parse
 from cli.console import out, progress
-from cli.views import RunArguments
+from cli.nerf.arguments import RunArguments
 from nerf.video import VideoConfig, write_video
 
 EXAMPLES = """Render a video along the drive's path: colour over depth.

@@ -6,12 +6,12 @@ PROGRAM = Program(
     "nerf",
     "radiance fields of streets that lean on depth priors",
     {
-        "fit": ("cli.fit", "train a field on a drive, with or without a prior, and score its held-out views"),
-        "eval": ("cli.report", "score a run's held-out views again, or put several runs into one table"),
-        "render": ("cli.render", "render views: the drive's own, or poses from a file"),
-        "video": ("cli.video", "render a video along the drive's path"),
-        "export": ("cli.export", "write a point cloud or a mesh"),
-        "study": ("cli.study", "fit a grid of priors, views, losses and fields; one table"),
+        "fit": "train a field on a drive, with or without a prior, and score its held-out views",
+        "eval": "score a run's held-out views again, or put several runs into one table",
+        "render": "render views: the drive's own, or poses from a file",
+        "video": "render a video along the drive's path",
+        "export": "write a point cloud or a mesh",
+        "study": "fit a grid of priors, views, losses and fields; one table",
     },
     """\
   nerf fit street/ --prior cache/ --views sparse --time 60s       -> runs/..., held-out views scored

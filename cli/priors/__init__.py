@@ -6,13 +6,13 @@ PROGRAM = Program(
     "priors",
     "depth priors for street drives",
     {
-        "build": ("cli.build", "make depth maps for a drive and cache them"),
-        "eval": ("cli.score", "score cached maps against the drive's truth"),
-        "show": ("cli.show", "write pictures: image, depth, error and confidence side by side"),
-        "list": ("cli.listing", "list what a cache holds"),
-        "check": ("cli.check", "audit a drive: calibration, joins, stereo, poses, LiDAR"),
-        "train": ("cli.train", "train the networks: render samples, train, pack weights"),
-        "street": ("cli.street", "write the embedded street as a KITTI raw drive"),
+        "build": "make depth maps for a drive and cache them",
+        "eval": "score cached maps against the drive's truth",
+        "show": "write pictures: image, depth, error and confidence side by side",
+        "list": "list what a cache holds",
+        "check": "audit a drive: calibration, joins, stereo, poses, LiDAR",
+        "train": "train the networks: render samples, train, pack weights",
+        "street": "write the embedded street as a KITTI raw drive",
     },
     """\
   priors street street/ --frames 40 --size 1242x375     the embedded street: no download needed

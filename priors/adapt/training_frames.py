@@ -1,4 +1,4 @@
-"""Selection of the frames that a network is fine-tuned on, and reading them."""
+"""Training frames of a drive: which of them a network is fine-tuned on, and reading them."""
 
 from collections.abc import Callable, Sequence
 from typing import TypeVar
