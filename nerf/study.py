@@ -108,12 +108,7 @@ class Study:
     seeds: tuple[int, ...] = (0,)
     """Every run is made once a seed; the table holds the means."""
 
-    def runs(self) -> list[RunSpec]:
-        """List the runs, each once, in the order of the table.
-
-        Raises:
-            DataError: nothing is listed for some choice, or two priors have one name.
-        """
+    def __post_init__(self) -> None:
         for each in fields(self):
             if not getattr(self, each.name):
                 raise DataError(f"study: no {each.name} given: name one or more")
@@ -121,6 +116,9 @@ class Study:
         twice = {name for name in names if names.count(name) > 1}
         if twice:
             raise DataError(f"study: two priors are named {min(twice)}: a study is of one drive")
+
+    def runs(self) -> list[RunSpec]:
+        """List the runs, each once, in the order of the table."""
         choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
         grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
         specs = (RunSpec(*choice) for choice in grid)

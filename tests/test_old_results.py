@@ -15,7 +15,6 @@ from safetensors.torch import load_file
 from cli import nerf as nerf_command
 from cli import priors as priors_command
 from nerf import checkpoint
-from nerf.fit import fit
 from nerf.report import Report
 from nerf.run import claim, open_run
 from priors import cache, codecs, methods
@@ -167,7 +166,7 @@ def test_an_old_run_is_gone_on_with_by_the_command_that_began_it(home: Path) -> 
     (old / "config.json").write_text((old / "config.json").read_text().replace(MADE_IN, str(home)))
     words[words.index("--steps") + 1] = "3"
     assert nerf(*words) == 0
-    assert checkpoint.progress(old).step == 3
+    assert checkpoint.spent(old).step == 3
 
 
 def test_a_study_finds_its_old_run_done(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -189,9 +188,9 @@ def test_the_installed_command_renders_a_stopped_run(home: Path) -> None:
 def test_a_stopped_run_goes_on_to_where_it_would_have_come(home: Path) -> None:
     folders = {name: home / "fits" / name for name in ("stopped", "finished")}
     run = claim(folders["stopped"], open_run(folders["finished"]).config)
-    assert checkpoint.progress(run.folder).step == 3
-    fit(run.scene(run.drive()), run.config.fit, run.folder)
-    assert checkpoint.progress(run.folder).step == 6
+    assert checkpoint.spent(run.folder).step == 3
+    run.fit("cpu")
+    assert checkpoint.spent(run.folder).step == 6
     now, then = load_file(run.folder / checkpoint.NAME), load_file(folders["finished"] / "field.safetensors")
     stopped = load_file(unpacked(home))
     del then["model.field.grid"]  # on CPUs without matrix tiles, as that one, its gradient was wrong then
