@@ -49,7 +49,7 @@ $(MESH_VENV)/.installed: pyproject.toml constraints.txt
 
 mesh: $(MESH_VENV)/.installed  ## meshes and clouds by open3d, in an environment of its own: it brings 0.6 GB
 	.ci/open3d-libraries
-	ROADPRIOR_OPEN3D=required $(MESH_VENV)/bin/python -m pytest -q tests/test_open3d.py
+	ROADPRIOR_OPEN3D=required $(MESH_VENV)/bin/python -m pytest -q -p no:dash tests/test_open3d.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check .

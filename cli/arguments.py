@@ -64,13 +64,6 @@ def reopen_drive(prior: Prior, truth: Path | None) -> Drive:
     return drives.reopen(prior.drive if truth is None else {**prior.drive, "truth": str(truth)})
 
 
-def pick_device(name: Device) -> str:
-    """Decide 'auto': a GPU where there is one."""
-    import torch
-
-    return ("cuda" if torch.cuda.is_available() else "cpu") if name == "auto" else name
-
-
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:
     """Parse a command's arguments into its dataclass, flags' earlier names too; --help shows its examples first."""
     return tyro.cli(kind, prog=command, description=examples, args=translate(kind, arguments))

@@ -8,7 +8,7 @@ import tyro
 
 from cli.arguments import parse
 from cli.console import out, progress
-from cli.views import RunArguments, open_views
+from cli.views import RunArguments
 from nerf.export import CloudConfig, write_cloud, write_mesh
 
 EXAMPLES = """Write a coloured point cloud (.ply), or a mesh (.ply, .obj, .glb; needs open3d), in the drive's frame.
@@ -38,10 +38,11 @@ def run(arguments: list[str]) -> int:
 
 
 def _export(args: ExportArguments) -> int:
-    views = open_views(args)
+    this_run = args.open()
+    views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     path = args.out or args.run / f"{args.kind}.ply"
     write = write_cloud if args.kind == "cloud" else write_mesh
     with progress(args.kind, len(views.ids)) as step:
-        count = write(path, views.render, views.camera, views.T_world_cam, args.cloud, step)
+        count = write(path, model.render, views.camera, views.T_world_cam, args.cloud, step)
     out.print(f"wrote {path}: {count} {'points' if args.kind == 'cloud' else 'triangles'}")
     return 0

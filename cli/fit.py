@@ -6,14 +6,15 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse, pick_device
+from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import err, fit_progress, out, progress
-from cli.report import LpipsArguments, print_table, report_run
+from cli.report import LpipsArguments, print_table
 from nerf import checkpoint, fields
-from nerf.fit import FitConfig, fit
+from nerf.config import FitConfig, ModelConfig
 from nerf.losses import LossConfig
-from nerf.model import ModelConfig, SamplerConfig
-from nerf.run import RunConfig, claim
+from nerf.prepare import SceneConfig
+from nerf.run import begin
+from nerf.sample import SamplerConfig
 from priors import cache
 from priors.errors import DataError
 from priors.filters import Filters
@@ -65,6 +66,12 @@ class FitArguments(ThreadArguments, DriveArguments):
     field: FieldName = "ngp"
     """Family of fields."""
 
+    def config(self) -> FitConfig:
+        """Return what decides the fit's outcome."""
+        timed = None if self.steps is not None else seconds(self.time)
+        model = ModelConfig(family=self.field, width=self.width, sampler=self.sampler)
+        return FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
+
 
 def run(arguments: list[str]) -> int:
     """Fit; returns the exit code."""
@@ -74,33 +81,23 @@ def run(arguments: list[str]) -> int:
 
 
 def _fit(args: FitArguments) -> int:
+    config, scene = args.config(), SceneConfig(args.views, args.frames, args.filters)
     drive = args.open()
     prior = None if args.prior is None else cache.only(args.prior)
-    config = FitConfig(
-        model=ModelConfig(family=args.field, width=args.width, sampler=args.sampler),
-        losses=args.losses,
-        rays=args.rays,
-        steps=args.steps,
-        seconds=None if args.steps is not None else seconds(args.time),
-        seed=args.seed,
-    )
-    where = None if prior is None else str(prior.folder.resolve())
-    name = "-".join([drive.name, args.field, args.views, *([] if prior is None else [args.losses.loss, prior.name])])
-    folder = args.run or Path("runs") / name
-    made = claim(folder, RunConfig(drive.describe(), where, args.frames, args.views, args.filters, config))
-    scene = made.scene(drive, progress)
-    if len(scene.train) == 1:
+    this_run = begin(drive, prior, scene, config, args.run, progress)
+    if len(this_run.scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
-    done = checkpoint.progress(folder)
-    with fit_progress(folder.name) as on_step:
-        fit(scene, config, folder, on_step, pick_device(args.device))
-    if done.step == checkpoint.progress(folder).step:
-        err.print(f"trained before, {done.step} steps: a longer --time or --steps goes on, another --run begins anew")
-    if scene.test:
-        print_table([report_run(made, args.lpips, scene, drive, device=args.device)])
+    before = checkpoint.spent(this_run.folder)
+    with fit_progress(this_run.name) as on_step:
+        this_run.fit(args.device, on_step)
+    if before.step == checkpoint.spent(this_run.folder).step:
+        err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
+    if this_run.scene.test:
+        print_table([this_run.report(args.device, args.lpips.open())])
     else:
-        out.print(f"none of the {len(scene.ids)} frames is held out (the 10th, 20th, ... are): nothing to score")
-    out.print(f"wrote {folder}")
+        count = len(this_run.scene.ids)
+        out.print(f"none of the {count} frames is held out (the 10th, 20th, ... are): nothing to score")
+    out.print(f"wrote {this_run.folder}")
     return 0
 
 

@@ -1,15 +1,12 @@
 """`nerf render`: colour and metric depth of views."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
 from cli.arguments import parse
-from cli.console import out, progress
-from cli.views import Opened, RunArguments, open_views
-from nerf.pictures import save_view
-from priors.errors import DataError
+from cli.console import out
+from cli.views import RunArguments
+from nerf.viewpoints import read_poses
 
 EXAMPLES = """Render views: rgb/, depth/ (16-bit PNG, metres x 256) and depth_colour/ for each.
 
@@ -37,26 +34,11 @@ def run(arguments: list[str]) -> int:
 
 
 def _render(args: RenderArguments) -> int:
-    views = open_views(args)
+    this_run = args.open()
+    views = this_run.viewpoints(args.frames)
     if args.poses is not None:
-        views = _with_poses(views, args.poses)
+        views = read_poses(args.poses, views.camera)
     folder = args.out or args.run / "views"
-    with progress("render", len(views.ids)) as step:
-        for id_, pose in zip(views.ids, views.T_world_cam, strict=True):
-            save_view(folder, id_, views.render(pose, views.camera))
-            step()
+    this_run.render(views, folder, args.device)
     out.print(f"wrote {len(views.ids)} views to {folder}")
     return 0
-
-
-def _with_poses(views: Opened, path: Path) -> Opened:
-    """Read poses (n, 4, 4) from a text file."""
-    try:
-        rows = np.loadtxt(path, ndmin=2)
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: expected 12 numbers a line ({error})") from error
-    if rows.shape[1] != 12 or not np.isfinite(rows).all():
-        raise DataError(f"{path}: expected 12 finite numbers a line, found {rows.shape[1]}")
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3] = rows.reshape(-1, 3, 4)
-    return replace(views, T_world_cam=poses, ids=[f"{i:06d}" for i in range(len(rows))])

@@ -2,27 +2,25 @@
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cli.arguments import Device, ThreadArguments, parse, pick_device
+from cli.arguments import Device, ThreadArguments, parse
 from cli.console import out, progress
 from eval import lpips, typeset
-from nerf import checkpoint
 from nerf.page import runs_page
 from nerf.pictures import compare, load_view
-from nerf.report import Report, Truths, report
+from nerf.report import Report
 from nerf.run import Run, open_run
-from nerf.scene import Scene
 from nerf.study_table import COLUMNS
-from nerf.view import renderer
+from nerf.truths import Truths
 from priors import codecs
 from priors.errors import DataError, UsageError
 from priors.report.page import SUFFIX, Picture
-from priors.types import Drive, Image
+from priors.types import Image
 
 EXAMPLES = """Score runs' held-out views and print one table; views that were rendered already are not rendered again.
 
@@ -76,81 +74,52 @@ def run(arguments: list[str]) -> int:
 
 
 def _score(args: ReportArguments, command: str) -> int:
-    opened, reports = [], []
-    for folder in args.runs:
-        made = open_run(folder)
-        drive = made.drive()
-        scene = made.scene(drive, progress)
-        opened.append((made, scene))
-        reports.append(report_run(made, args.lpips, scene, drive, _told_by_study(folder), args.device))
+    lpips = args.lpips.open()
+    runs = [replace(open_run(folder), progress=progress) for folder in args.runs]
+    reports = [each.report(args.device, lpips) for each in runs]
     laid = print_table(reports)
     for path in args.save:
         if path.suffix == SUFFIX:
-            views = _compared(opened, PICTURED) if _one_drive(opened) else ()  # the page says which drive a run has
+            views = _compared(runs, PICTURED) if _one_drive(runs) else ()  # the page says which drive a run has
             pictures = [Picture(f"frame {id_}", image) for id_, image in views]
-            runs_page([made for made, _ in opened], reports, laid, pictures, command).write(path)
+            runs_page(runs, reports, laid, pictures, command).write(path)
         else:
             codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
         out.print(f"wrote {path}")
     if args.pictures is not None:
         count = 0
-        for id_, image in _compared(opened):
+        for id_, image in _compared(runs):
             codecs.write_image(args.pictures / f"{id_}.jpg", image, 90)
             count += 1
         out.print(f"wrote {count} pictures to {args.pictures}")
     return 0
 
 
-def _told_by_study(folder: Path) -> dict[str, object] | None:
-    """Return what a study wrote of a run, so that the study still finds it done; None where it was no study's."""
-    path = folder / "metrics.json"
-    info = Report.load(path).info if path.exists() else {}
-    return info if "command" in info else None
-
-
-def _compared(runs: Sequence[tuple[Run, Scene]], most: int | None = None) -> Iterator[tuple[str, Image]]:
+def _compared(runs: Sequence[Run], most: int | None = None) -> Iterator[tuple[str, Image]]:
     """Set the views side by side that all runs hold out, of one drive; at most `most`, spread evenly."""
     if not _one_drive(runs):
         raise DataError("--pictures: the runs are of several drives: name the runs of one")
-    scene = runs[0][1]
-    drive = runs[0][0].drive()
-    ids = [[each.ids[position] for position in each.test] for _, each in runs]
+    drive, scene = runs[0].drive, runs[0].scene
+    ids = [[each.scene.ids[position] for position in each.scene.test] for each in runs]
     truths = Truths(drive, ids[0])
     common = [(id_, position) for id_, position in zip(ids[0], scene.test, strict=True) if all(id_ in i for i in ids)]
     step = 1 if most is None else max(1, len(common) // most)
     for id_, position in common[step // 2 :: step][:most]:
-        views = [(made.name, *load_view(made.folder / "renders", id_)) for made, _ in runs]
+        views = [(each.name, *load_view(each.folder / "renders", id_)) for each in runs]
         yield id_, compare(id_, scene.images[position], truths(id_), views)
 
 
-def _one_drive(runs: Sequence[tuple[Run, Scene]]) -> bool:
-    return len({made.drive().fingerprint() for made, _ in runs}) == 1
-
-
-def report_run(
-    made: Run,
-    weights: LpipsArguments,
-    scene: Scene,
-    drive: Drive,
-    info: dict[str, object] | None = None,
-    device: Device = "auto",
-) -> Report:
-    """Score a run's held-out views."""
-    render = renderer(checkpoint.open_model(made.folder, pick_device(device)))
-    truths = Truths(drive, [scene.ids[position] for position in scene.test])
-    told = info or {"name": made.name, "config": asdict(made.config)}
-    key = checkpoint.digest(made.folder)
-    with progress(f"views of {made.name}", len(scene.test)) as step:
-        return report(scene, truths, render, made.folder, key, told, weights.open(), on_frame=step)
+def _one_drive(runs: Sequence[Run]) -> bool:
+    return len({each.drive.fingerprint() for each in runs}) == 1
 
 
 def print_table(reports: Sequence[Report]) -> typeset.Table:
     """Print a row a run."""
-    rows = [((str(made.info["name"]),), made.metrics()) for made in reports]
+    rows = [((str(each.info["name"]),), each.metrics()) for each in reports]
     have = {key for _, figures in rows for key in figures}
     columns = {key: column for key, column in COLUMNS.items() if key in have}
     caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
-    remarks = list(dict.fromkeys(remark for made in reports for remark in made.remarks))
+    remarks = list(dict.fromkeys(remark for each in reports for remark in each.remarks))
     laid = typeset.lay_out(("run",), columns, rows, caption, remarks)
     if out.is_terminal:
         out.print(typeset.render(laid, out.width))

@@ -19,7 +19,7 @@ from eval.result import Result
 from priors import cache
 from priors.cache import Prior
 from priors.draw import figure, lines
-from priors.errors import DataError, UsageError
+from priors.errors import DataError, UsageError, expect
 from priors.naming import labels
 from priors.report.page import SUFFIX, Picture
 from priors.report.scores import picture_frames, scores_page, sparsification
@@ -77,6 +77,8 @@ class ScoreArguments:
         if self.curves is not None:
             figure.check_name(self.curves)
         parse_range(self.frames)
+        for key in self.metrics or ():
+            expect(key in table.COLUMNS, "--metrics", key, f"some of {', '.join(table.COLUMNS)}")
 
     @property
     def page(self) -> bool:

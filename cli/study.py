@@ -1,25 +1,22 @@
 """`nerf study`: a grid of runs and its table."""
 
 import shlex
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from dataclasses import field as made_by
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse, pick_device
+from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.fit import FieldName, seconds
-from cli.report import LpipsArguments, report_run
+from cli.report import LpipsArguments
 from eval import typeset
 from nerf import study_table
-from nerf.fit import FitConfig, fit
-from nerf.losses import DepthLoss, LossConfig
-from nerf.model import ModelConfig
-from nerf.report import Report
-from nerf.run import RunConfig, claim
-from nerf.study import NONE, SHARES, Outcome, RunSpec, Study, run_study
+from nerf.config import FitConfig
+from nerf.losses import LossConfig
+from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, run_study
 from priors import cache
 
 EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table.
@@ -98,29 +95,16 @@ def run(arguments: list[str]) -> int:
 
 
 def _make(args: StudyArguments, command: str) -> int:
-    drive = args.open()
-    grid = args.grid()
-    budget = {"steps": args.steps} if args.steps is not None else {"seconds": seconds(args.time)}
-    settings = {"drive": drive.describe(), "frames": args.frames, **budget}
+    timed = None if args.steps is not None else seconds(args.time)
+    fit = FitConfig(losses=args.losses, steps=args.steps, seconds=timed)
+    drive, grid = args.open(), args.grid()
 
-    def make(spec: RunSpec, folder: Path, config: dict[str, Any]) -> Report:
-        fitted = FitConfig(
-            model=ModelConfig(family=spec.field),
-            losses=replace(args.losses, loss=cast("DepthLoss", spec.loss or "none")),
-            steps=args.steps,
-            seconds=None if args.steps is not None else seconds(args.time),
-            seed=spec.seed,
-        )
-        where = None if spec.prior == NONE else str(Path(spec.prior).resolve())
-        asked = RunConfig(drive.describe(), where, args.frames, spec.views, spec.filters(), fitted)
-        made = claim(folder, asked, same_budget=True)
-        scene = made.scene(drive, progress)
-        with fit_progress(spec.name) as on_step:
-            fit(scene, fitted, folder, on_step, pick_device(args.device))
-        info: dict[str, object] = {"name": spec.name, "config": config, "command": _command(args, spec, folder)}
-        return report_run(made, args.lpips, scene, drive, info, args.device)
+    def command_of(spec: RunSpec, folder: Path) -> str:
+        return _command(args, spec, folder)
 
-    outcomes = run_study(grid, args.out, make, settings, _tell)
+    lpips = args.lpips.open()
+    runner = FitRunner(drive, fit, args.frames, args.device, lpips, progress, fit_progress, command_of)
+    outcomes = run_study(grid, args.out, runner, runner.settings, _tell)
     laid = study_table.lay_out(outcomes)
     out.print(typeset.render(laid, out.width)) if out.is_terminal else out.file.write(typeset.plain(laid))
     for path in study_table.save(outcomes, args.out, command):

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from cli.arguments import Device, parse, pick_device
+from cli.arguments import Device, parse
 from cli.console import err, out, progress, train_progress
 from priors.errors import DataError
 from priors.learn.config import TrainConfig
+from priors.machine.device import pick_device
 
 if TYPE_CHECKING:
     from priors.learn.training_run import Task

@@ -7,7 +7,7 @@ import tyro
 
 from cli.arguments import parse
 from cli.console import out, progress
-from cli.views import RunArguments, open_views
+from cli.views import RunArguments
 from nerf.video import VideoConfig, write_video
 
 EXAMPLES = """Render a video along the drive's path: colour over depth.
@@ -35,9 +35,10 @@ def run(arguments: list[str]) -> int:
 
 
 def _write(args: VideoArguments) -> int:
-    views = open_views(args)
+    this_run = args.open()
+    views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     path = args.out or args.run / "video.mp4"
     with progress("video", args.video.steps * (len(views.ids) - 1) + 1) as step:
-        write_video(path, views.render, views.camera, views.T_world_cam, args.video, step)
+        write_video(path, model.render, views.camera, views.T_world_cam, args.video, step)
     out.print(f"wrote {path}")
     return 0

@@ -10,65 +10,69 @@ from safetensors import SafetensorError, safe_open
 from safetensors import torch as tensors
 from torch import Tensor
 
-from nerf.model import Model, ModelConfig
-from nerf.occupancy import Occupancy
-from nerf.optimise import Optimiser
-from nerf.space import Space
+from nerf import fields
+from nerf.config import ModelConfig
+from nerf.model import Model
 from priors.codecs import write_bytes
 from priors.errors import DataError
 from priors.records import restore
 
 NAME = "checkpoint.safetensors"
 FORMAT = "1"
+_OURS = ("format", "config", "progress")
+"""What the metadata hold besides the model's own record."""
 
 
 @dataclass(frozen=True)
-class Progress:
-    """How far a run is."""
+class Spent:
+    """How much of its budget a run has spent."""
 
     step: int = 0
     elapsed_s: float = 0.0
 
 
-def save(run: Path, model: Model, optimiser: Optimiser, progress: Progress) -> None:
+def save(run: Path, model: Model, spent: Spent) -> None:
     """Write the run's checkpoint; a full disk or a kill leaves the one before."""
-    state = {f"model.{name}": tensor for name, tensor in model.parameters().items()}
-    state |= {f"occupancy.{name}": tensor for name, tensor in model.occupancy.state().items()}
-    state |= {f"optimiser.{name}": tensor for name, tensor in optimiser.state().items()}
-    described = {"space": asdict(model.space), "config": asdict(model.config), "progress": asdict(progress)}
+    described = {"config": asdict(model.config), "progress": asdict(spent)} | model.record()
     metadata = {"format": FORMAT} | {name: json.dumps(value) for name, value in described.items()}
-    whole = {name: tensor.detach().cpu().contiguous() for name, tensor in state.items()}
+    whole = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state().items()}
     write_bytes(run / NAME, tensors.save(whole, metadata))
 
 
-def resume(run: Path, model: Model, optimiser: Optimiser) -> Progress:
-    """Bring model and optimiser to the run's checkpoint; the beginning where there is none."""
+def resume(run: Path, model: Model) -> Spent:
+    """Bring a model to the run's checkpoint; nothing is spent where there is none.
+
+    Raises:
+        DataError: it is damaged, or of a model of other settings.
+    """
     if not (run / NAME).exists():
-        return Progress()
+        return Spent()
     state, metadata = _read(run)
-    _fill(model, state, run)
-    optimiser.load(_under("optimiser.", state))
-    return restore(Progress, json.loads(metadata["progress"]))
+    try:
+        model.load(state)
+    except ValueError as error:
+        raise DataError(f"{run / NAME}: made with other settings ({error}): use another --run, or delete it") from error
+    return restore(Spent, json.loads(metadata["progress"]))
 
 
-def progress(run: Path) -> Progress:
-    """Return how far a run's checkpoint is; the beginning where there is none."""
-    return restore(Progress, json.loads(_read(run)[1]["progress"])) if (run / NAME).exists() else Progress()
+def spent(run: Path) -> Spent:
+    """Return how much a run's checkpoint has spent; nothing where there is none."""
+    return restore(Spent, json.loads(_read(run)[1]["progress"])) if (run / NAME).exists() else Spent()
 
 
 def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
     """Load a run's model to render it.
 
     Raises:
-        DataError: there is no checkpoint, or it is damaged or of another format.
+        DataError: there is no checkpoint, or it is damaged, of another format, or of a family that is not here.
     """
     state, metadata = _read(run)
-    config = restore(ModelConfig, json.loads(metadata["config"]))
-    space = restore(Space, json.loads(metadata["space"]))
-    resolution = state["occupancy.kept"].shape[-1]
-    model = Model(config, space, Occupancy(space, resolution, device), device=device)
-    _fill(model, state, run)
-    return model
+    try:
+        config = restore(ModelConfig, json.loads(metadata["config"]))
+        record = {name: json.loads(text) for name, text in metadata.items() if name not in _OURS}
+        return fields.family(config.family).open(config, record, state, str(device))
+    except (ValueError, KeyError, TypeError) as error:
+        raise DataError(f"{run / NAME}: damaged checkpoint ({error}): delete it and train again") from error
 
 
 def digest(run: Path) -> str:
@@ -94,17 +98,3 @@ def _read(run: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
     if metadata.get("format") != FORMAT:
         raise DataError(f"{path}: checkpoint format {metadata.get('format')}, expected {FORMAT}: train again")
     return state, metadata
-
-
-def _fill(model: Model, state: dict[str, Tensor], run: Path) -> None:
-    """Copy tensors into the model."""
-    for name, tensor in model.parameters().items():
-        saved = state.get(f"model.{name}")
-        if saved is None or saved.shape != tensor.shape:
-            raise DataError(f"{run / NAME}: made with other settings ({name}): use another --run, or delete it")
-        tensor.copy_(saved)
-    model.occupancy.load(_under("occupancy.", state))
-
-
-def _under(prefix: str, state: dict[str, Tensor]) -> dict[str, Tensor]:
-    return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}

@@ -1,4 +1,4 @@
-"""What a field leaves to other programs: a coloured point cloud, and a mesh through open3d."""
+"""Export: a coloured point cloud, and a mesh through open3d."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.image import as_uint8
-from nerf.pictures import OPAQUE, Render, RenderedView
+from nerf.types import OPAQUE, Render, RenderedView
 from priors import codecs
 from priors.errors import DataError
 from priors.export import triangles
@@ -61,10 +61,10 @@ def write_cloud(
         raise DataError(f"{path}: expected a name that ends in .ply")
     kept, depth_m = np.zeros(0, POINT), np.zeros(0, np.float32)
     for pose in T_world_cam:
-        points, found_m = view_points(render(pose, camera), camera, pose, config)
-        points, found_m = np.concatenate([kept, points]), np.concatenate([depth_m, found_m])
-        chosen = nearest(cells_of(points, config.voxel_m), found_m)
-        kept, depth_m = points[chosen], found_m[chosen]
+        points, points_m = view_points(render(pose, camera), camera, pose, config)
+        points, points_m = np.concatenate([kept, points]), np.concatenate([depth_m, points_m])
+        first = nearest(cells_of(points, config.voxel_m), points_m)
+        kept, depth_m = points[first], points_m[first]
         on_view()
     write_ply(path, kept)
     return len(kept)
@@ -74,7 +74,7 @@ def view_points(
     view: RenderedView, camera: Camera, T_world_cam: Matrix, config: CloudConfig
 ) -> tuple[Points, FloatMap]:
     """Return a view's pixels as world points (n,) POINT, metres, and their depths (n,), metres."""
-    depth = _taken(view, config)
+    depth = _solid_depth(view, config)
     xyz = (rays(camera)[depth.valid] * depth.depth_m[depth.valid, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     points = np.zeros(len(xyz), POINT)
     for axis, name in enumerate("xyz"):
@@ -131,7 +131,7 @@ def write_mesh(
     fused = 0
     for pose in T_world_cam:
         view = render(pose, camera)
-        taken = _taken(view, config)
+        taken = _solid_depth(view, config)
         if taken.valid.any():  # open3d refuses a view without a value
             depth, rgb = image(taken.depth_m), image(np.clip(view.rgb, 0, 1).astype(np.float32))
             extrinsic = matrix(invert(pose))
@@ -164,11 +164,11 @@ def _open3d() -> Any:
     except (ImportError, OSError) as error:
         raise DataError(
             f"a mesh needs open3d, which cannot be imported ({error}): pip install 'roadprior[mesh]' and "
-            "apt-get install libusb-1.0-0 libgl1; a point cloud needs neither"
+            "apt-get install libusb-1.0-0 libgl1 libegl1; a point cloud needs nothing more"
         ) from error
 
 
-def _taken(view: RenderedView, config: CloudConfig) -> Depth:
+def _solid_depth(view: RenderedView, config: CloudConfig) -> Depth:
     """Return the depth of the pixels that are taken."""
     depth = view.solid(config.opacity)
     agree = np.abs(view.median_m - depth.depth_m) <= np.float32(config.agreement) * depth.depth_m

@@ -1,4 +1,4 @@
-"""A radiance field: places to density and colour, with a hand-written backward pass."""
+"""Radiance field: places to density and colour, with a hand-written backward pass."""
 
 from dataclasses import dataclass, field
 
@@ -8,7 +8,7 @@ from torch import Tensor
 from nerf.grid import Grid
 from nerf.harmonics import harmonics
 from nerf.kernels import FieldKernels, kernels_for
-from nerf.mlp import Network, NetworkConfig
+from nerf.mlp import MLP, MLPConfig
 from nerf.types import GridConfig, Samples
 
 
@@ -18,13 +18,13 @@ class FieldConfig:
 
     grid: GridConfig = field(default_factory=GridConfig)
     """The hash grid."""
-    network: NetworkConfig = field(default_factory=NetworkConfig)
+    mlp: MLPConfig = field(default_factory=MLPConfig)
     """The small networks behind it."""
 
 
 @dataclass(frozen=True, slots=True)
-class _Asked:
-    """What the last forward pass was asked, padded: what the backward pass needs."""
+class _Forward:
+    """What the last forward pass was last, padded: what the backward pass needs."""
 
     u: Tensor
     table: Tensor
@@ -36,7 +36,7 @@ class _Asked:
 
 
 class Field:
-    """Density and colour of places. For density alone (proposals), use `density` with `density_backward`."""
+    """Density and colour of places. For density alone: `density_forward`, `density_backward`."""
 
     def __init__(
         self,
@@ -54,9 +54,9 @@ class Field:
         generator = torch.Generator().manual_seed(seed)
         kernels = kernels or kernels_for(self.device).field
         self.grid = Grid(config.grid, self.device, generator, kernels)
-        self.network = Network(config.network, config.grid.levels, self.device, generator, kernels)
-        self._block = kernels.BLOCK
-        self._asked: _Asked | None = None
+        self.mlp = MLP(config.mlp, config.grid.levels, self.device, generator, kernels)
+        self._block = kernels.SAMPLES_MULTIPLE
+        self._forward: _Forward | None = None
 
     def forward(self, samples: Samples, units: Tensor, footprint: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Return density (m,), 1/m, and colour (m, 3) of samples on rays with unit directions (r, 3).
@@ -67,59 +67,50 @@ class Field:
         ray = _pad(samples.ray, len(u))
         features = self.grid.encode(u, table, footprint)
         basis = harmonics(units)
-        sigma, rgb = self.network.shade(features, basis, ray)
-        self._asked = _Asked(u, table, footprint, features, ray, basis, len(samples.u))
+        sigma, rgb = self.mlp.shade(features, basis, ray)
+        self._forward = _Forward(u, table, footprint, features, ray, basis, len(samples.u))
         return sigma[: len(samples.u)], rgb[: len(samples.u)]
 
     def backward(self, d_sigma: Tensor, d_rgb: Tensor) -> None:
         """Set all gradients from those of the last `forward`'s results: (m,) and (m, 3)."""
-        asked = self._last(d_sigma)
-        if asked.ray is None or asked.harmonics is None:
+        last = self._last(d_sigma)
+        if last.ray is None or last.harmonics is None:
             raise RuntimeError("backward after density: use density_backward")
-        d_sigma, d_rgb = _pad(d_sigma, len(asked.u)), _pad(d_rgb, len(asked.u))
-        d_features = self.network.shade_backward(asked.features, asked.harmonics, asked.ray, d_sigma, d_rgb)
-        self.grid.backward(asked.u, asked.table, asked.footprint, d_features)
+        d_sigma, d_rgb = _pad(d_sigma, len(last.u)), _pad(d_rgb, len(last.u))
+        d_features = self.mlp.shade_backward(last.features, last.harmonics, last.ray, d_sigma, d_rgb)
+        self.grid.backward(last.u, last.table, last.footprint, d_features)
 
-    def density(self, u: Tensor, table: Tensor, footprint: Tensor | None = None, keep: bool = False) -> Tensor:
-        """Return density (m,), 1/m, at places u (m, 3) of tables (m,); `keep` to call `density_backward` next."""
+    def density(self, u: Tensor, table: Tensor, footprint: Tensor | None = None) -> Tensor:
+        """Return density (m,), 1/m, at places u (m, 3) of tables (m,), without learning."""
+        padded = self._padded(u, table, footprint)
+        return self.mlp.density(self.grid.encode(*padded))[: len(u)]
+
+    def density_forward(self, u: Tensor, table: Tensor, footprint: Tensor | None = None) -> Tensor:
+        """Return density (m,), 1/m, at places u (m, 3) of tables (m,), for `density_backward`."""
         count = len(u)
         u, table, footprint = self._padded(u, table, footprint)
         features = self.grid.encode(u, table, footprint)
-        if keep:
-            self._asked = _Asked(u, table, footprint, features, None, None, count)
-        return self.network.density(features)[:count]
+        self._forward = _Forward(u, table, footprint, features, None, None, count)
+        return self.mlp.density(features)[:count]
 
     def density_backward(self, d_sigma: Tensor) -> None:
-        """Set all gradients from that of the last kept `density`, (m,)."""
-        asked = self._last(d_sigma)
-        d_features = self.network.density_backward(asked.features, _pad(d_sigma, len(asked.u)))
-        self.grid.backward(asked.u, asked.table, asked.footprint, d_features)
+        """Set all gradients from that of the last `density_forward`, (m,)."""
+        last = self._last(d_sigma)
+        d_features = self.mlp.density_backward(last.features, _pad(d_sigma, len(last.u)))
+        self.grid.backward(last.u, last.table, last.footprint, d_features)
 
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name; a backward pass sets (does not add to) their `.grad`."""
-        return {"grid": self.grid.weights, **self.network.layers._asdict()}
+        return {"grid": self.grid.weights, **self.mlp.layers._asdict()}
 
     def copies(self) -> dict[str, Tensor]:
         """Return the rounded copies that an optimiser may keep up to date as it goes, by the parameter's name."""
         return {"grid": self.grid.copy}
 
-    def state(self) -> dict[str, Tensor]:
-        """Return what `load` takes: the parameters, not copied."""
-        return self.parameters()
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Take over another field's parameters of the same shapes."""
-        for name, tensor in self.parameters().items():
-            if name not in state or state[name].shape != tensor.shape:
-                found = tuple(state[name].shape) if name in state else "none"
-                raise ValueError(f"field: expected {name} of shape {tuple(tensor.shape)}, found {found}")
-        for name, tensor in self.parameters().items():
-            tensor.copy_(state[name])
-
-    def _last(self, d_sigma: Tensor) -> _Asked:
-        if self._asked is None or self._asked.count != len(d_sigma):
+    def _last(self, d_sigma: Tensor) -> _Forward:
+        if self._forward is None or self._forward.count != len(d_sigma):
             raise RuntimeError("backward without the forward pass it belongs to")
-        return self._asked
+        return self._forward
 
     def _padded(self, u: Tensor, table: Tensor, footprint: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
         """Fill up to a multiple of the kernels' block."""

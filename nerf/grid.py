@@ -1,4 +1,4 @@
-"""A multi-resolution hash grid: trainable features at the corners of cells, interpolated and laid side by side.
+"""Multi-resolution hash grid: trainable features at the corners of cells, interpolated and laid side by side.
 
 Müller et al. 2022, "Instant Neural Graphics Primitives", section 3. Every level has FEATURES = 2 features a row: one
 32-bit word in the kernels. Features are level-major, (levels, m, 2): what the kernels write and the network reads.

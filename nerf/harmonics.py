@@ -1,4 +1,4 @@
-"""Real spherical harmonics of directions: what a colour is told about where it is seen from."""
+"""Spherical harmonics of directions: what a colour is told about where it is seen from."""
 
 import torch
 from torch import Tensor

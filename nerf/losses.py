@@ -1,4 +1,4 @@
-"""The losses: colour, depth (four of them), distortion, opacity. Per ray and unreduced; one rule reduces them all.
+"""Losses: colour, depth (four of them), distortion, opacity. Per ray and unreduced; one rule reduces them all.
 
 Reduction: a colour loss is the mean over the rays. A depth loss is the mean over the rays that have a prior, weighted
 by confidence where there is one: sum(weight l) / sum(weight). A sparse map and a dense one therefore pull equally
@@ -15,6 +15,7 @@ prior's standard deviation (metres, max(sigma_floor_m, sigma_share * d)):
           (Rematas et al., CVPR 2022, eq. 6 to 9, targets in units of weight)
 """
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -22,9 +23,14 @@ import torch
 from torch import Tensor
 
 from nerf.kernels import RenderKernels, kernels_for
-from nerf.types import Gradients, Rays, Rendered, Samples
+from nerf.types import Gradients, Rays, Rendered, Samples, Target
+from priors.errors import expect, expect_choices
 
 DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
+
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"
 
 
 @dataclass(frozen=True)
@@ -49,6 +55,16 @@ class LossConfig:
     """Weight of mip-NeRF 360's distortion loss."""
     opacity: float = 0.02
     """Weight of the light that passes rays where the prior has a surface."""
+
+    def __post_init__(self) -> None:
+        expect_choices(self, "")
+        for name in ("depth_weight", "sigma_share", "distortion", "opacity"):
+            value = getattr(self, name)
+            expect(0 <= value < math.inf, _flag(name), value, "0 or more")
+        for name in ("unit_m", "sigma_floor_m"):
+            value = getattr(self, name)
+            expect(0 < value < math.inf, _flag(name), value, "more than 0 m")
+        expect(0 <= self.trim < 1, "--trim", self.trim, "a share from 0 to less than 1")
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,7 +102,9 @@ def losses(
     weight = prior_weight(config, rays)
     if weight is not None and config.loss != "none":
         prior_m = torch.where(weight > 0, rays.depth_m, 0.0)  # type: ignore[arg-type]
-        term = _DepthTerm(config, samples, rays.norms, prior_m, sigma, rendered, kernels)
+        deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
+        target = Target(rays.norms, prior_m, deviation_m)
+        term = _DepthTerm(config, samples, target, sigma, rendered, kernels)
         terms["depth"] = _depth(term, weight, gradients)
     terms["opacity"] = _opacity(config, samples, weight, rendered, gradients)
     terms["distortion"] = _distortion(config, samples, rendered, gradients, kernels)
@@ -107,8 +125,8 @@ def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:
 def _depth(term: "_DepthTerm", weight: Tensor, gradients: Gradients) -> Tensor:
     """Reduce the depth loss and add its gradients."""
     if term.config.trim > 0:
-        found = term(torch.zeros_like(weight), Gradients.zeros(term.rendered))
-        weight = trimmed(weight, found, term.config.trim)
+        values = term(torch.zeros_like(weight), Gradients.zeros(term.rendered))
+        weight = trimmed(weight, values, term.config.trim)
     share = weight / weight.sum().clamp(min=1e-12)
     return (share * term(term.config.depth_weight * share, gradients)).sum()
 
@@ -130,18 +148,16 @@ class _DepthTerm:
 
     config: LossConfig
     samples: Samples
-    norms: Tensor
-    prior_m: Tensor
+    target: Target
     sigma: Tensor
     rendered: Rendered
     kernels: RenderKernels
 
     def __call__(self, scale: Tensor, gradients: Gradients) -> Tensor:
-        config, prior_m, kernels = self.config, self.prior_m, self.kernels
-        deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
+        config, target, kernels = self.config, self.target, self.kernels
         if config.loss == "kl":
-            return kernels.kl(self.samples, self.sigma, self.norms, prior_m, deviation_m, scale, gradients.tau)
-        off = torch.where(prior_m > 0, self.rendered.depth_m - prior_m, 0.0) / config.unit_m
+            return kernels.kl(self.samples, self.sigma, target, scale, gradients.tau)
+        off = torch.where(target.prior_m > 0, self.rendered.depth_m - target.prior_m, 0.0) / config.unit_m
         if config.loss == "l1":
             gradients.depth_m.add_(scale * off.sign() / config.unit_m)
             return off.abs()
@@ -149,7 +165,7 @@ class _DepthTerm:
         if config.loss == "mse":
             return off * off
         weights, d_weights = self.rendered.weights, gradients.weights
-        return off * off + kernels.sight(self.samples, weights, self.norms, prior_m, deviation_m, scale, d_weights)
+        return off * off + kernels.sight(self.samples, weights, target, scale, d_weights)
 
 
 def _opacity(
@@ -160,8 +176,8 @@ def _opacity(
     A ray counts as much as its prior does, so that a guess in the sky does not make it solid; one without samples
     cannot stop anything and does not count. The mean is over the rays that count.
     """
-    asked = samples.offsets[1:] > samples.offsets[:-1]
-    stops = asked.float() if weight is None else asked * weight
+    has_samples = samples.offsets[1:] > samples.offsets[:-1]
+    stops = has_samples.float() if weight is None else has_samples * weight
     share = stops / (stops > 0).sum().clamp(min=1)
     gradients.transmittance.add_(config.opacity * share)
     return (share * rendered.transmittance).sum()
@@ -173,8 +189,8 @@ def _distortion(
     """Reduce the distortion: the mean over the rays."""
     rays = len(samples.offsets) - 1
     scale = torch.full((rays,), config.distortion / max(1, rays), device=rendered.rgb.device)
-    found = kernels.distortion(samples, rendered.weights, scale, gradients.weights)
-    return found.sum() / max(1, rays)
+    values = kernels.distortion(samples, rendered.weights, scale, gradients.weights)
+    return values.sum() / max(1, rays)
 
 
 def interlevel(
@@ -189,5 +205,5 @@ def interlevel(
     device = rendered.rgb.device
     scale = torch.full((rays,), 1 / max(1, rays), device=device)
     kernels = kernels_for(device).render
-    found, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
-    return found.sum() / max(1, rays), gradient
+    values, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
+    return values.sum() / max(1, rays), gradient

@@ -1,4 +1,4 @@
-"""The two small networks of a field: features to density and geometry, geometry and direction to colour."""
+"""MLPs: the two small networks of a field, features to density and geometry, geometry and direction to colour."""
 
 from dataclasses import dataclass
 
@@ -8,13 +8,14 @@ from torch import Tensor
 from nerf.harmonics import COUNT
 from nerf.kernels import FieldKernels
 from nerf.types import FEATURES, Layers
+from priors.errors import DataError
 
 GEOMETRY = 16
 """Outputs of the first network: the density's logit, and 15 numbers for the colour."""
 
 
 @dataclass(frozen=True, slots=True)
-class NetworkConfig:
+class MLPConfig:
     """The size of the two networks and the density they start from."""
 
     width: int = 64
@@ -24,17 +25,17 @@ class NetworkConfig:
 
     def __post_init__(self) -> None:
         if self.width % 16 or not 16 <= self.width <= 128:
-            raise ValueError(f"expected a width of 16, 32, ..., 128, found {self.width}")
+            raise DataError(f"network: expected a width of 16, 32, ..., 128, found {self.width}")
         if not self.initial_density > 0:
-            raise ValueError(f"expected an initial density above 0, found {self.initial_density}")
+            raise DataError(f"network: expected an initial density above 0, found {self.initial_density}")
 
 
-class Network:
+class MLP:
     """Both networks: their float32 weights with gradients, forward and backward."""
 
     def __init__(
         self,
-        config: NetworkConfig,
+        config: MLPConfig,
         levels: int,
         device: torch.device,
         generator: torch.Generator,
@@ -66,8 +67,8 @@ class Network:
     ) -> Tensor:
         """Set the layers' gradients and return the features', (levels, m, 2)."""
         initial = self.config.initial_density
-        found = self._kernels.shade_backward(features, harmonics, ray, self.layers, initial, d_sigma, d_rgb)
-        return self._keep(*found)
+        forward = features, harmonics, ray, self.layers, initial
+        return self._keep(*self._kernels.shade_backward(*forward, d_sigma, d_rgb))
 
     def _keep(self, d_features: Tensor, gradients: Layers) -> Tensor:
         for layer, gradient in zip(self.layers, gradients, strict=True):

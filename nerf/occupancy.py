@@ -1,4 +1,4 @@
-"""An occupancy grid: which cells of a space may hold something, so that samplers skip the others.
+"""Occupancy grid: which cells of a space may hold something, so that samplers skip the others.
 
 Carving, before the first step, from what the training views know:
 
@@ -26,6 +26,7 @@ from torch import Tensor
 from nerf.kernels.cpu import sample as compiled
 from nerf.scene import Scene
 from nerf.space import Space
+from nerf.state import copy_into
 from nerf.twin.sample import cells
 from nerf.types import Key, Samples
 from priors.geometry import rays as pixel_rays
@@ -81,9 +82,9 @@ class Occupancy:
         votes_for, votes_against = np.zeros(count, np.uint16), np.zeros(count, np.uint16)
         blindly = np.zeros(count, np.uint8)
         for position in scene.train:
-            seen, blind = _parted(scene, position, trust)
-            votes_for += self._trace(scene, position, seen, 1 - reach, 1 + reach)
-            votes_against += self._trace(scene, position, seen, 0, 1 - reach)
+            with_value, blind = _thinned(scene, position, trust)
+            votes_for += self._trace(scene, position, with_value, 1 - reach, 1 + reach)
+            votes_against += self._trace(scene, position, with_value, 0, 1 - reach)
             blindly |= self._trace(scene, position, blind, 0, np.inf)
         votes = votes_for + votes_against
         band = _dilated((votes_for >= np.float32(AGREED) * votes) & (votes_for > 0), resolution)
@@ -124,9 +125,9 @@ class Occupancy:
         u, table = self._inside(torch.cat(chosen), generator)
         self._note(u, table, density(u, table))
         if key[1] >= WARM_UP:
-            known = self.thickness >= 0
-            limit = min(THIN, float(self.thickness[known].mean()))
-            thick = (self.thickness > limit) | ~known
+            measured = self.thickness >= 0
+            limit = min(THIN, float(self.thickness[measured].mean()))
+            thick = (self.thickness > limit) | ~measured
             self.kept.copy_(thick.to(torch.uint8) & self.allowed)
 
     def state(self) -> dict[str, Tensor]:
@@ -134,11 +135,8 @@ class Occupancy:
         return {"kept": self.kept, "allowed": self.allowed, "thickness": self.thickness}
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Take over the state of another grid of the same space and resolution."""
-        for name, own in self.state().items():
-            if state[name].shape != own.shape:
-                raise ValueError(f"occupancy {name}: expected {tuple(own.shape)}, found {tuple(state[name].shape)}")
-            own.copy_(state[name])
+        """Take over the state of a grid of the same space and resolution; ValueError where it is of another."""
+        copy_into(self.state(), state)
 
     def _trace(self, scene: Scene, position: int, pixels: npt.NDArray[np.int64], begin: float, end: float) -> Bytes:
         """Mark (flat, 1) the cells along a view's pixels from `begin` to `end` times the depth; near to far where 0."""
@@ -169,14 +167,14 @@ class Occupancy:
 
     def _note(self, u: Tensor, table: Tensor, sigma: Tensor) -> None:
         """Let the cells at u (m, 3) decay once and rise to the thickness found there."""
-        found = sigma.to(torch.float32) * self.space.stretch_m(u, table) / self.resolution
+        thickness = sigma.to(torch.float32) * self.space.stretch_m(u, table) / self.resolution
         cell = cells(u, table, self.resolution)
         flat = self.thickness.view(-1)
         flat[cell] = flat[cell] * DECAY
-        flat.scatter_reduce_(0, cell, found, "amax")
+        flat.scatter_reduce_(0, cell, thickness, "amax")
 
 
-def _parted(scene: Scene, position: int, trust: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _thinned(scene: Scene, position: int, trust: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return a view's pixels (flat) with a prior value and those beyond the prior's reach, both thinned.
 
     A hole between values is neither: it is within the closing of the values' mask.
@@ -192,13 +190,13 @@ def _parted(scene: Scene, position: int, trust: float) -> tuple[npt.NDArray[np.i
     valid = (scene.depth_m[position] > 0) & np.isfinite(scene.depth_m[position])
     if scene.weight is not None:
         valid &= scene.weight[position] >= np.float32(255 * trust)
-    seen = np.flatnonzero(valid)
-    if len(seen):
+    with_value = np.flatnonzero(valid)
+    if len(with_value):
         # The window holds about a dozen values where they are spread evenly.
         window = 2 * int(np.clip(np.ceil(2 / np.sqrt(valid.mean())), 2, 16)) + 1
         grown = maximum_filter(valid, window, mode="constant", cval=0)
         blind &= ~minimum_filter(grown, window, mode="constant", cval=1)
-    return seen[:: max(1, len(seen) * stride**2 // valid.size)], np.flatnonzero(blind)
+    return with_value[:: max(1, len(with_value) * stride**2 // valid.size)], np.flatnonzero(blind)
 
 
 def _dilated(grid: Mask, resolution: int) -> Mask:

@@ -1,4 +1,4 @@
-"""Adam with a learning rate that follows the progress of the fit, whether its budget is time or steps."""
+"""Adam with a learning-rate schedule that follows the progress of the fit, whether its budget is time or steps."""
 
 import math
 from dataclasses import dataclass
@@ -7,6 +7,8 @@ import torch
 from torch import Tensor
 
 from nerf.kernels import FieldKernels, kernels_for
+from nerf.state import copy_into
+from priors.errors import expect
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,23 +26,39 @@ class OptimiserConfig:
     final: float = 1 / 30
     """What is left of the rates at the end; they fall along half a cosine."""
 
+    def __post_init__(self) -> None:
+        for name in ("grid", "network", "sky"):
+            rate = getattr(self, name)
+            expect(0 <= rate < math.inf, f"rate {name}", rate, "0 or more")
+        expect(self.warm_up >= 0, "warm_up", self.warm_up, "0 steps or more")
+        expect(0 <= self.final <= 1, "final", self.final, "a share from 0 to 1")
+
+    def top(self, name: str) -> float:
+        """Return the largest rate of a parameter: "sky.b" has the sky's, "a.grid" the grids', else the networks'."""
+        if name.startswith("sky."):
+            return self.sky
+        return self.grid if name.endswith("grid") else self.network
+
+    def share(self, step: int, progress: float) -> float:
+        """Return the share of the largest rates that the step-th step (from 1) takes, `progress` of the fit done."""
+        warm = min(1.0, step / max(self.warm_up, 1))
+        wave = 0.5 * (1 + math.cos(math.pi * min(max(progress, 0.0), 1.0)))
+        return warm * (self.final + (1 - self.final) * wave)
+
 
 class Optimiser:
     """Adam (Kingma and Ba 2015) on named parameters, their gradients in `.grad`."""
 
     def __init__(
         self,
-        config: OptimiserConfig,
         parameters: dict[str, Tensor],
         copies: dict[str, Tensor] | None = None,
         kernels: FieldKernels | None = None,
     ) -> None:
         """Take parameters by name, and rounded copies that a step keeps up to date.
 
-        The rate of "sky.b" is the sky's, that of "a.grid" the grids', else the networks'.
         `kernels`: other functions than the device's own fastest.
         """
-        self.config = config
         self.steps = 0
         self._parameters = parameters
         self._copies = copies or {}
@@ -48,23 +66,17 @@ class Optimiser:
         self._mean = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
         self._square = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
 
-    def step(self, progress: float) -> None:
+    def step(self, config: OptimiserConfig, progress: float) -> None:
         """Move every parameter along its gradient; `progress` of the fit in [0, 1]."""
         self.steps += 1
-        rate = self.rate(progress)
+        share = config.share(self.steps, progress)
         for name, tensor in self._parameters.items():
             copy = self._copies.get(name)
             moments = self._mean[name], self._square[name]
             kernels = self._kernels or kernels_for(tensor.device).field
-            kernels.adam(tensor, *moments, copy, rate * self._top(name), self.steps)
+            kernels.adam(tensor, *moments, copy, share * config.top(name), self.steps)
             if copy is None:
                 torch.autograd.graph.increment_version(tensor)  # kernels write unseen: tell those who keep copies
-
-    def rate(self, progress: float) -> float:
-        """Return the share of the top rates that the next step takes."""
-        warm = min(1.0, self.steps / max(self.config.warm_up, 1))
-        wave = 0.5 * (1 + math.cos(math.pi * min(max(progress, 0.0), 1.0)))
-        return warm * (self.config.final + (1 - self.config.final) * wave)
 
     def state(self) -> dict[str, Tensor]:
         """Return "steps" and the running means by name ("a.b.mean", "a.b.square"), not copied."""
@@ -73,17 +85,7 @@ class Optimiser:
         return {"steps": torch.tensor(self.steps), **means, **squares}
 
     def load(self, state: dict[str, Tensor]) -> None:
-        """Go on from a saved state, bit for bit."""
-        for name, tensor in self.state().items():
-            if name not in state or state[name].shape != tensor.shape:
-                found = tuple(state[name].shape) if name in state else "none"
-                raise ValueError(f"optimiser: expected {name} of shape {tuple(tensor.shape)}, found {found}")
-        self.steps = int(state["steps"])
-        for name in self._parameters:
-            self._mean[name].copy_(state[f"{name}.mean"])
-            self._square[name].copy_(state[f"{name}.square"])
-
-    def _top(self, name: str) -> float:
-        if name.startswith("sky."):
-            return self.config.sky
-        return self.config.grid if name.endswith("grid") else self.config.network
+        """Go on from a saved state, bit for bit; ValueError where it is of other parameters."""
+        own = self.state()
+        copy_into(own, state)
+        self.steps = int(own["steps"])

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from eval.typeset import Table
-from nerf.fit import FitConfig
+from nerf.config import FitConfig
 from nerf.report import Report
 from nerf.run import Run
 from priors.draw.lines import Line, Plot

@@ -1,4 +1,4 @@
-"""What a field shows from one place, and the files that keep it.
+"""Rendered pictures: the files that keep what a field shows from one place.
 
 renders/rgb/ID.png           8 bits, rounded
        /depth/ID.png         uint16, metres x 256, rounded, 0 = no value: where the field is clearer than OPAQUE
@@ -6,47 +6,21 @@ renders/rgb/ID.png           8 bits, rounded
        /error/ID.jpg         image, render, colour error, depth and depth error with their bars
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TypeAlias
 
 import numpy as np
 
 from eval.image import as_uint8
+from nerf.types import RenderedView
 from priors import codecs
 from priors.draw.colours import GOOD_TO_BAD, colour_depth
 from priors.draw.panel import Bar, Tile, depth_tile, error_tile, panel
-from priors.types import Camera, Depth, FloatMap, Image, Matrix
+from priors.types import Depth, Image
 
-OPAQUE = 0.5
-"""Least opacity of a pixel whose depth is kept: below it, most of the light is the sky's."""
 KEPT = ("rgb", "depth", "depth_colour", "error")
 COLOUR_STEPS = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 """Edges of the colour error's map, steps of 8 bits."""
-
-
-@dataclass(frozen=True, slots=True)
-class RenderedView:
-    """What a field shows from one place."""
-
-    rgb: FloatMap
-    """(height, width, 3) in [0, 1]."""
-    depth_m: FloatMap
-    """(height, width) expected camera-z depth of what is not sky, metres."""
-    median_m: FloatMap
-    """(height, width) camera-z depth that half of the light comes from beyond; 0 where it never is."""
-    opacity: FloatMap
-    """(height, width) share of the light that is not the sky's, [0, 1]."""
-
-    def solid(self, opacity: float = OPAQUE) -> Depth:
-        """Return the expected depth where the field is at least so opaque."""
-        sure = (self.opacity >= opacity) & np.isfinite(self.depth_m) & (self.depth_m > 0)
-        return Depth(np.where(sure, self.depth_m, 0).astype(np.float32))
-
-
-Render: TypeAlias = Callable[[Matrix, Camera], RenderedView]
-"""Renders a field from T_world_cam (4, 4), metres, through a camera."""
 
 
 def picture_path(renders: Path, kind: str, id_: str) -> Path:

@@ -1,4 +1,4 @@
-"""The report of a run: its field's held-out views scored, pictured, and kept.
+"""Report of a run: its field's held-out views scored, pictured, and kept.
 
     <run>/metrics.json           figures, pooled and of each frame (format below)
          /depth.json             the depth figures as `priors eval` writes them: a row for its tables
@@ -12,7 +12,7 @@ metrics.json, version 1: `info` (what was run), `protocol`, `truth`, `metrics` (
 import json
 import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -24,12 +24,13 @@ from eval.image import ImageScore, mean
 from eval.lpips import HOW_TO_GET, Lpips
 from eval.protocol import Protocol, ScoreError, preset
 from eval.result import Comparison, Result, Row, score_frame
-from nerf.pictures import KEPT, Render, picture_path, save_error, save_view
+from nerf.pictures import KEPT, picture_path, save_error, save_view
 from nerf.scene import Scene
+from nerf.truths import Truths
+from nerf.types import Render
 from priors import codecs
 from priors.errors import DataError
-from priors.methods.lidar import Lidar
-from priors.types import Depth, Drive
+from priors.types import Image
 
 FORMAT = 1
 DEPTH_KEYS = ("rmse", "abs_rel", "delta_1", "mae", "density")
@@ -77,8 +78,8 @@ class Report:
         rows = [frame.figures() for frame in self.frames]
         image = mean([frame.image for frame in self.frames])
         keys = [key for key in (rows[0] if rows else {}) if key not in image and not key.startswith("lpips_")]
-        known = {key: [row[key] for row in rows if not math.isnan(row[key])] for key in keys}
-        return image | {key: math.fsum(values) / len(values) if values else math.nan for key, values in known.items()}
+        columns = {key: [row[key] for row in rows if not math.isnan(row[key])] for key in keys}
+        return image | {key: math.fsum(values) / len(values) if values else math.nan for key, values in columns.items()}
 
     def depth(self) -> Result:
         """Return the expected depth's figures as `eval` keeps them."""
@@ -98,7 +99,7 @@ class Report:
         if self.depth().rows:
             self.depth().save(folder / "depth.json")
         codecs.write_bytes(
-            folder / "metrics.json", (json.dumps(_plain(content), indent=1, allow_nan=False) + "\n").encode()
+            folder / "metrics.json", (json.dumps(_as_json(content), indent=1, allow_nan=False) + "\n").encode()
         )
 
     @classmethod
@@ -122,44 +123,34 @@ class Report:
             raise DataError(f"{path}: expected a run's metrics, found damaged or other data: run nerf eval") from error
 
 
-class Truths:
-    """The true depth of a drive's frames: its own, or else one LiDAR sweep's; decided for all frames at once."""
+@dataclass(frozen=True)
+class Subject:
+    """What is scored."""
 
-    def __init__(self, drive: Drive, ids: Sequence[str]) -> None:
-        self._frames = {id_: position for position, id_ in enumerate(drive.ids)}
-        self._drive = drive
-        first = [drive[self._frames[id_]] for id_ in ids]
-        self.label = "none"
-        """none, annotated or lidar: which truth it is."""
-        self.why_none = ""
-        if first and all(frame.has("truth") for frame in first):
-            self.label = "annotated"
-        elif first and all(frame.has("sweep") for frame in first):
-            self.label = "lidar"
-        elif first:
-            self.why_none = f"no depth figures: {first[0].missing.get('truth', 'this drive has no true depth')}"
+    render: Render
+    """Renders the field."""
+    checkpoint: str
+    """What tells this field from others: a hash of its weights."""
+    info: dict[str, Any]
+    """What was run; see Report."""
 
-    def __call__(self, id_: str) -> Depth | None:
-        """Return a frame's true depth; None where there is none."""
-        if self.label == "none":
-            return None
-        frame = self._drive[self._frames[id_]]
-        if self.label == "annotated":
-            return frame.truth()
-        if frame.sweep() is None:
-            return None  # the scanner missed this frame
-        return Lidar(sweeps=1).resolve(frame)(frame)
+
+@dataclass(frozen=True)
+class Scoring:
+    """How it is scored."""
+
+    lpips: Lpips | None = None
+    """None leaves that figure out."""
+    protocol: str = "paper"
+    """A preset of eval.protocol for the depth."""
 
 
 def report(
     scene: Scene,
     truths: Truths,
-    render: Render,
+    subject: Subject,
     folder: Path,
-    checkpoint: str,
-    info: dict[str, Any],
-    lpips: Lpips | None = None,
-    protocol: str = "paper",
+    scoring: Scoring | None = None,
     on_frame: Step = lambda: None,
 ) -> Report:
     """Render and score the scene's held-out views, and write all files of a run's report.
@@ -169,12 +160,9 @@ def report(
     Args:
         scene: whose held-out frames are scored.
         truths: the drive's true depths.
-        render: the field.
+        subject: the field.
         folder: the run's folder.
-        checkpoint: what tells this field from others: a hash of its weights.
-        info: what was run; see Report.
-        lpips: None leaves that figure out.
-        protocol: a preset of eval.protocol for the depth.
+        scoring: how it is scored.
         on_frame: called after each frame.
 
     Raises:
@@ -182,70 +170,88 @@ def report(
     """
     if not scene.test:
         raise DataError(f"{scene.name}: none of the {len(scene.ids)} frames is held out: take 10 frames or more")
-    rules = replace(preset(protocol), truth=truths.label)
-    key = f"{checkpoint}/{rules.describe()}"
-    kept = _kept(folder / "renders", key)
+    scoring = scoring or Scoring()
+    rules = replace(preset(scoring.protocol), truth=truths.label)
+    scorer = _Scorer(scene, truths, subject, folder / "renders", scoring.lpips, rules)
+    before = scorer.before()
     frames = []
     for position in scene.test:
-        id_, image = scene.ids[position], np.asarray(scene.images[position])
-        found = kept.get(id_)
-        if found is None:
-            found = _score(scene, position, truths(id_), render, folder / "renders", rules)
-        if lpips is not None and lpips.net not in found.image.lpips:
-            rgb = codecs.read_image(picture_path(folder / "renders", "rgb", id_))
-            found = replace(found, image=replace(found.image, lpips=found.image.lpips | {lpips.net: lpips(rgb, image)}))
-        if found is not kept.get(id_):
-            _keep(folder / "renders", key, found)
-        frames.append(found)
+        frames.append(scorer.score(position, before.get(scene.ids[position])))
         on_frame()
-    lacking = () if lpips is not None or all(frame.image.lpips for frame in frames) else (HOW_TO_GET,)
+    lacking = () if scoring.lpips is not None or all(frame.image.lpips for frame in frames) else (HOW_TO_GET,)
     remarks = (*((truths.why_none,) if truths.why_none else ()), *lacking)
-    made = Report(rules, tuple(frames), info, remarks)
-    made.save(folder)
-    return made
+    result = Report(rules, tuple(frames), subject.info, remarks)
+    result.save(folder)
+    return result
 
 
-def _score(
-    scene: Scene, position: int, truth: Depth | None, render: Render, renders: Path, rules: Protocol
-) -> FrameScore:
-    """Render a view, write its pictures and score it."""
-    id_, image = scene.ids[position], np.asarray(scene.images[position])
-    start = time.perf_counter()
-    view = render(scene.T_world_cam[position], scene.camera)
-    seconds = time.perf_counter() - start
-    try:
-        score = ImageScore.over(view.rgb, image)
-        rows = [
-            None if truth is None else score_frame(Comparison(id_, depth_m, None, truth.depth_m), rules)
-            for depth_m in (view.depth_m, view.median_m)
-        ]
-    except ScoreError as error:
-        raise DataError(f"{scene.name}: frame {id_}: {error}") from error
-    save_view(renders, id_, view)
-    save_error(renders, id_, view, image, truth)
-    return FrameScore(id_, score, rows[0], rows[1], seconds)
+@dataclass(frozen=True)
+class _Scorer:
+    """Scores views one by one, and keeps each score in renders/scores.jsonl as soon as it is there."""
 
+    scene: Scene
+    truths: Truths
+    subject: Subject
+    renders: Path
+    lpips: Lpips | None
+    rules: Protocol
 
-def _kept(renders: Path, key: str) -> dict[str, FrameScore]:
-    """Return the frames that were scored under this key and whose pictures are all there."""
-    path = renders / "scores.jsonl"
-    found = {}
-    for text in path.read_text().splitlines() if path.exists() else []:
+    @property
+    def key(self) -> str:
+        """What a score depends on: checkpoint and protocol."""
+        return f"{self.subject.checkpoint}/{self.rules.describe()}"
+
+    def before(self) -> dict[str, FrameScore]:
+        """Return the frames that were scored under this key and whose pictures are all there."""
+        path = self.renders / "scores.jsonl"
+        scores = {}
+        for text in path.read_text().splitlines() if path.exists() else []:
+            try:
+                line = json.loads(text)
+                if line["key"] == self.key:
+                    scores[line["frame"]] = _frame(line)
+            except (ValueError, KeyError, TypeError):
+                continue  # cut off by a kill
+        there = {id_: all(picture_path(self.renders, kind, id_).exists() for kind in KEPT) for id_ in scores}
+        return {id_: score for id_, score in scores.items() if there[id_]}
+
+    def score(self, position: int, before: FrameScore | None) -> FrameScore:
+        """Score a view, or add what its score of before lacks."""
+        id_, image = self.scene.ids[position], np.asarray(self.scene.images[position])
+        score = before or self._render(position, image)
+        if self.lpips is not None and self.lpips.net not in score.image.lpips:
+            rgb = codecs.read_image(picture_path(self.renders, "rgb", id_))
+            lpips = score.image.lpips | {self.lpips.net: self.lpips(rgb, image)}
+            score = replace(score, image=replace(score.image, lpips=lpips))
+        if score is not before:
+            self._keep(score)
+        return score
+
+    def _render(self, position: int, image: Image) -> FrameScore:
+        """Render a view, write its pictures and score it."""
+        id_, truth = self.scene.ids[position], self.truths(self.scene.ids[position])
+        start = time.perf_counter()
+        view = self.subject.render(self.scene.T_world_cam[position], self.scene.camera)
+        seconds = time.perf_counter() - start
         try:
-            line = json.loads(text)
-            if line["key"] == key:
-                found[line["frame"]] = _frame(line)
-        except (ValueError, KeyError, TypeError):
-            continue  # cut off by a kill
-    return {id_: frame for id_, frame in found.items() if all(picture_path(renders, k, id_).exists() for k in KEPT)}
+            score = ImageScore.over(view.rgb, image)
+            rows = [
+                None if truth is None else score_frame(Comparison(id_, depth_m, None, truth.depth_m), self.rules)
+                for depth_m in (view.depth_m, view.median_m)
+            ]
+        except ScoreError as error:
+            raise DataError(f"{self.scene.name}: frame {id_}: {error}") from error
+        save_view(self.renders, id_, view)
+        save_error(self.renders, id_, view, image, truth)
+        return FrameScore(id_, score, rows[0], rows[1], seconds)
 
-
-def _keep(renders: Path, key: str, frame: FrameScore) -> None:
-    """Append a frame's line; on a line of its own even where the last one was cut off."""
-    path = renders / "scores.jsonl"
-    whole = not path.exists() or path.read_bytes()[-1:] in (b"", b"\n")
-    with path.open("a") as file:
-        file.write("\n" * (not whole) + json.dumps({"key": key, **asdict(frame)}) + "\n")
+    def _keep(self, score: FrameScore) -> None:
+        """Append a frame's line; on a line of its own even where the last one was cut off."""
+        path = self.renders / "scores.jsonl"
+        cut_off = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
+        line = json.dumps({"key": self.key, **asdict(score)}) + "\n"
+        with path.open("a") as file:
+            file.write("\n" + line if cut_off else line)
 
 
 def _frame(entry: dict[str, Any]) -> FrameScore:
@@ -260,12 +266,12 @@ def _row(entry: dict[str, Any] | None) -> Row | None:
     return Row(entry["frame"], DepthSums(**entry["depth"]), None, tuple(DepthSums(**part) for part in entry["ranges"]))
 
 
-def _plain(value: Any) -> Any:
+def _as_json(value: Any) -> Any:
     """Make what JSON holds of figures, however deep: NaN is null, infinity "inf"."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _as_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_as_json(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None if math.isnan(value) else str(value)
     return value

@@ -1,4 +1,4 @@
-"""A run: a folder with what was asked for, and everything that came of it.
+"""Run: a folder with what was asked for, and everything that came of it; fitted and scored from Python in a line.
 
 runs/<name>/config.json              drive, prior, frames, views and every setting
            /checkpoint.safetensors   nerf.checkpoint
@@ -7,19 +7,30 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from eval.lpips import Lpips
 from nerf import checkpoint
-from nerf.fit import FitConfig
-from nerf.scene import Progress, Scene, open_scene, silent
+from nerf.config import FitConfig
+from nerf.fit import OnStep, fit
+from nerf.model import Model
+from nerf.pictures import save_view
+from nerf.prepare import ProgressBar, SceneConfig, open_scene, silent
+from nerf.report import Report, Scoring, Subject, report
+from nerf.scene import Scene
+from nerf.truths import Truths
+from nerf.viewpoints import Viewpoints, along
 from priors import cache, codecs
+from priors.cache import Prior
 from priors.drives import reopen
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.machine import threads
+from priors.machine.device import pick_device
 from priors.records import restore
-from priors.selection import select
 from priors.types import Drive
 
 FORMAT = 1
@@ -44,43 +55,135 @@ class RunConfig:
     fit: FitConfig
     """Everything else."""
 
+    @classmethod
+    def of(cls, drive: Drive, prior: Prior | None, scene: SceneConfig, fit: FitConfig) -> "RunConfig":
+        """Describe a run of an open drive and an open prior."""
+        where = None if prior is None else str(prior.folder.resolve())
+        return cls(drive.describe(), where, scene.frames, scene.views, scene.filters, fit)
+
+    @property
+    def scene(self) -> SceneConfig:
+        """What the run's scene has."""
+        return SceneConfig(self.views, self.frames, self.filters)
+
 
 @dataclass(frozen=True)
 class Run:
-    """A run's folder and config."""
+    """A run: `begin` or `open_run` makes one; `fit` trains it, `report` scores it, `render` shows it."""
 
     folder: Path
     config: RunConfig
+    progress: ProgressBar = field(default=silent, compare=False, repr=False)
+    """Shows what is prepared and rendered."""
+    source: Drive | None = field(default=None, compare=False, repr=False)
+    """The drive where it is open already; None: opened as the config describes it."""
 
     @property
     def name(self) -> str:
         """The folder's name."""
         return self.folder.name
 
+    @cached_property
     def drive(self) -> Drive:
-        """Open the run's drive."""
-        return reopen(self.config.drive)
+        """The run's drive."""
+        return self.source or reopen(self.config.drive)
 
-    def scene(self, drive: Drive, progress: Progress = silent) -> Scene:
-        """Open the run's scene; what was prepared already is used again."""
-        config = self.config
-        prior = None if config.prior is None else cache.only(Path(config.prior))
-        positions = select(drive.ids, config.frames)
-        home = self.folder.parent / SCENES
-        return open_scene(drive, prior, config.views, positions, home, config.filters, progress)
+    @cached_property
+    def scene(self) -> Scene:
+        """The run's scene; what was prepared already is used again."""
+        prior = None if self.config.prior is None else cache.only(Path(self.config.prior))
+        with threads.limited(None):
+            return open_scene(self.drive, prior, self.config.scene, self.folder.parent / SCENES, self.progress)
+
+    def fit(self, device: str = "auto", on_step: OnStep = lambda status: None) -> Model:
+        """Train until the budget is spent, or go on where the run was left; see nerf.fit.fit.
+
+        Args:
+            device: cpu, cuda, or auto: a GPU where there is one.
+            on_step: called after each step.
+        """
+        return fit(self.scene, self.config.fit, self.folder, on_step, pick_device(device))
+
+    def report(self, device: str = "auto", lpips: Lpips | None = None, info: dict[str, Any] | None = None) -> Report:
+        """Score the held-out views of the trained field, and write the report's files.
+
+        Args:
+            device: where to render.
+            lpips: None leaves that figure out.
+            info: what the report says was run; default: what a study wrote of this run, else its name and config.
+        """
+        model = self.open_model(device)
+        truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
+        subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
+        with threads.limited(None), self.progress(f"views of {self.name}", len(self.scene.test)) as step:
+            return report(self.scene, truths, subject, self.folder, Scoring(lpips), step)
+
+    def open_model(self, device: str = "auto") -> Model:
+        """Load the trained field."""
+        return checkpoint.open_model(self.folder, pick_device(device))
+
+    def viewpoints(self, frames: str | None = None) -> Viewpoints:
+        """Return where the drive's camera was, in a range of frames a:b; None: the run's."""
+        return along(self.drive, frames or self.config.frames)
+
+    def render(self, views: Viewpoints, folder: Path, device: str = "auto") -> None:
+        """Render views and write their pictures and depth maps: nerf.pictures.save_view."""
+        model = self.open_model(device)
+        with self.progress("render", len(views.ids)) as step:
+            for id_, pose in zip(views.ids, views.T_world_cam, strict=True):
+                save_view(folder, id_, model.render(pose, views.camera))
+                step()
+
+    def _info(self) -> dict[str, Any]:
+        """Return what a study wrote of the run, so that it still finds it done; else the run's name and config."""
+        path = self.folder / "metrics.json"
+        before = Report.load(path).info if path.exists() else {}
+        return before if "command" in before else {"name": self.name, "config": asdict(self.config)}
 
 
-def claim(folder: Path, config: RunConfig, same_budget: bool = False) -> Run:
+def begin(
+    drive: Drive,
+    prior: Prior | None = None,
+    scene: SceneConfig | None = None,
+    fit: FitConfig | None = None,
+    folder: Path | None = None,
+    progress: ProgressBar = silent,
+) -> Run:
+    """Begin a run, or go on with the same one.
+
+        run = begin(open_drive("street"), cache.only("cache"), SceneConfig(views="sparse"))
+        run.fit()
+        print(run.report().metrics())
+
+    Args:
+        drive: its frames are learned.
+        prior: its depth guides the fit; None: colours alone.
+        scene: which frames, and what the prior passes.
+        fit: everything that decides the outcome.
+        folder: the run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>.
+        progress: shows what is prepared and rendered.
+
+    Raises:
+        DataError: the folder holds a run with other settings.
+    """
+    scene, fit = scene or SceneConfig(), fit or FitConfig()
+    if folder is None:
+        parts = [] if prior is None else [fit.losses.loss, prior.name]
+        folder = Path("runs") / "-".join([drive.name, fit.model.family, scene.views, *parts])
+    return replace(claim(folder, RunConfig.of(drive, prior, scene, fit)), progress=progress, source=drive)
+
+
+def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     """Begin a run in a folder, or go on with the same one; DataError where another run was trained in it.
 
     A run that had another budget goes on as well, at the new budget's learning rate; with `same_budget` it is begun
     anew, so that figures are those of the budget that is asked for.
     """
     path = folder / "config.json"
-    found = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
-    if _comparable(found) != _comparable(config):
+    before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
+    if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
-    if same_budget and (found.fit.steps, found.fit.seconds) != (config.fit.steps, config.fit.seconds):
+    if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
         for name in (checkpoint.NAME, "metrics.jsonl", "metrics.json"):
             (folder / name).unlink(missing_ok=True)
     text = json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n"

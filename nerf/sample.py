@@ -1,4 +1,4 @@
-"""Samplers: rays to packed samples, near to far, only where the occupancy grid has something.
+"""Ray sampling: rays to packed samples, near to far, only where the occupancy grid has something.
 
     march     evenly in the space's spacing; without a grid, the uniform baseline
     guided    rays with a prior depth: half in a band around it, half in front, none behind
@@ -8,124 +8,144 @@ A `key` (seed, step) shifts each ray's candidates by a random share of an interv
 a key (rendering) they stand still.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from nerf.kernels import kernels_for
+from nerf.kernels import SampleKernels, kernels_for
 from nerf.occupancy import Occupancy
 from nerf.space import Space
-from nerf.types import Course, Key, Rays, Samples
+from nerf.twin import space as twin
+from nerf.types import Course, Histogram, Key, Rays, Samples
+from priors.errors import expect
 
 _SHIFTS, _UNGUIDED = 1, 2
 """Which stream of random numbers a key opens; stream 0 draws the rays."""
 
 
-def march(
-    rays: Rays, space: Space, occupancy: Occupancy | None = None, *, count: int = 64, key: Key | None = None
-) -> Samples:
-    """Sample `count` intervals of each ray, evenly in s; those whose middle is in an empty cell are left out."""
-    return _pick(_course(rays, space, count, key), occupancy)
+@dataclass(frozen=True)
+class SamplerConfig:
+    """How many samples rays get, and what they skip."""
+
+    count: int = 32
+    """Samples of a ray that the prior guides, and of a ray after its proposals."""
+    free: int = 64
+    """Candidates of a ray without a prior; those in empty cells are dropped."""
+    render: int = 256
+    """Candidates of a ray when views are rendered."""
+    guide: bool = True
+    """Put a ray's samples around its prior depth."""
+    carve: bool = True
+    """Empty the space in front of the prior's surfaces before the first step."""
+    reach: float = 0.12
+    """Half width of the band of samples around the prior, as a share of its depth."""
+    unguided: float = 0.03
+    """Share of the rays with a prior that ignore it: gross errors of a prior are found by them."""
+    trust: float = 0.2
+    """Prior values of less confidence than this carve and guide nothing; the losses weigh them as they do all."""
+
+    def __post_init__(self) -> None:
+        expect(self.count >= 2, "--count", self.count, "2 samples or more")
+        expect(self.free >= 1, "--free", self.free, "1 candidate or more")
+        expect(self.render >= 1, "--render", self.render, "1 candidate or more")
+        expect(0 < self.reach < np.inf, "--reach", self.reach, "more than 0, a share of the depth")
+        expect(0 <= self.unguided <= 1, "--unguided", self.unguided, "a share from 0 to 1")
+        expect(0 <= self.trust <= 1, "--trust", self.trust, "a confidence from 0 to 1")
 
 
-def guided(
-    rays: Rays,
-    space: Space,
-    occupancy: Occupancy | None = None,
-    *,
-    count: int = 32,
-    free: int = 64,
-    reach: float = 0.12,
-    unguided: float = 0.03,
-    key: Key | None = None,
-) -> Samples:
-    """Sample rays near the prior's depth.
+@dataclass(frozen=True)
+class Sampler:
+    """Samples rays in one space."""
 
-    A ray with a depth D gets count / 2 intervals in D (1 - reach) to D (1 + reach), even in depth, and count / 2 in
-    front of them, even in s; nothing behind. Rays without, and a random share `unguided` of the others, march `free`
-    intervals. What is in empty cells is left out.
-    """
-    course = _course(rays, space, free, key)
-    if rays.depth_m is None:
-        return _pick(course, occupancy)
-    first, last = space.depth(course.start, course.knee_m), space.depth(course.stop, course.knee_m)
-    band0 = torch.clamp(rays.depth_m * (1 - reach), first, last)
-    band1 = torch.clamp(rays.depth_m * (1 + reach), first, last)
-    led = guidable(rays.depth_m, unguided, key) & (band1 > band0)
-    band0, band1 = torch.where(led, band0, 0), torch.where(led, band1, 0)
-    front = count // 2
-    course = replace(
-        course,
-        count=torch.where(led, front, free).to(torch.int32),
-        stop=torch.where(led, space.spacing(band0, course.knee_m), course.stop),
-        band0_m=band0,
-        band1_m=band1,
-        band_count=count - front,
-        slots=max(free + 1, count + 2),
-    )
-    return _pick(course, occupancy)
+    space: Space
+    occupancy: Occupancy | None = None
+    """What is skipped; None: nothing is."""
+    kernels: SampleKernels | None = None
+    """Other functions than the rays' device's own fastest."""
+
+    def march(self, rays: Rays, count: int, key: Key | None = None) -> Samples:
+        """Sample `count` intervals of each ray, evenly in s; those whose middle is in an empty cell are left out."""
+        return self._pick(self._course(rays, count, key))
+
+    def guided(self, rays: Rays, config: SamplerConfig, key: Key | None = None) -> Samples:
+        """Sample rays near the prior's depth.
+
+        A ray with a depth D gets count / 2 intervals in D (1 - reach) to D (1 + reach), even in depth, and count / 2 in
+        front of them, even in s; nothing behind. Rays without, and a random share `unguided` of the others, march
+        `free` intervals. What is in empty cells is left out.
+        """
+        course = self._course(rays, config.free, key)
+        if rays.depth_m is None:
+            return self._pick(course)
+        first, last = twin.depth(course.start, course.spacing), twin.depth(course.stop, course.spacing)
+        band0 = torch.clamp(rays.depth_m * (1 - config.reach), first, last)
+        band1 = torch.clamp(rays.depth_m * (1 + config.reach), first, last)
+        is_guided = guidable(rays.depth_m, config.unguided, key) & (band1 > band0)
+        band0, band1 = torch.where(is_guided, band0, 0), torch.where(is_guided, band1, 0)
+        front = config.count // 2
+        course = replace(
+            course,
+            count=torch.where(is_guided, front, config.free).to(torch.int32),
+            stop=torch.where(is_guided, twin.spacing(band0, course.spacing), course.stop),
+            band0_m=band0,
+            band1_m=band1,
+            band_count=config.count - front,
+            slots=max(config.free + 1, config.count + 2),
+        )
+        return self._pick(course)
+
+    def resample(self, rays: Rays, histogram: Histogram, count: int, key: Key | None = None) -> Samples:
+        """Sample `count` intervals of even mass under the weights that a round before gave the rays' samples.
+
+        Bins are widened and their masses raised to a power first: see nerf/twin/sample.py, resample.
+        """
+        course = self._course(rays, count, key)
+        # All but the last end move by the same share of 1 / (count + 1), as in nerfstudio's PDF sampler.
+        weights = histogram.weights
+        step = torch.arange(count + 1, device=weights.device, dtype=weights.dtype)
+        shift = course.shift if key is not None else torch.full_like(course.shift, 0.5)
+        targets = (step[None] + shift[:, None]) / (count + 1)
+        ends = self._kernels(weights.device).resample(histogram, targets)
+        return self._pick(replace(course, ends=ends, slots=count))
+
+    def _course(self, rays: Rays, count: int, key: Key | None) -> Course:
+        """Plan `count` candidates over the whole of each ray."""
+        if count < 1:
+            raise ValueError(f"expected at least one candidate a ray, found {count}")
+        aim = self.space.aim(rays)
+        none = torch.zeros_like(aim.first_m)
+        return Course(
+            origins=aim.origins,
+            directions=aim.directions,
+            norms=rays.norms,
+            spacing=aim.spacing,
+            start=twin.spacing(aim.first_m, aim.spacing),
+            stop=twin.spacing(aim.last_m, aim.spacing),
+            count=torch.full_like(none, count, dtype=torch.int32),
+            band0_m=none,
+            band1_m=none,
+            shift=torch.ones_like(none) if key is None else 1 - _random(len(rays), key, _SHIFTS, none),
+            ends=None,
+            band_count=1,
+            slots=count + 1,
+            kind=self.space.code,
+        )
+
+    def _pick(self, course: Course) -> Samples:
+        """Keep what lies in occupied cells and pad it."""
+        grid = self.occupancy
+        kept, resolution = (None, 1) if grid is None else (grid.kept.reshape(-1), grid.resolution)
+        return self._kernels(course.start.device).pick(course, kept, resolution)
+
+    def _kernels(self, device: torch.device) -> SampleKernels:
+        return self.kernels or kernels_for(device).sample
 
 
 def guidable(depth_m: Tensor, unguided: float, key: Key | None) -> Tensor:
     """Tell which rays (r,) their prior depth guides: those that have one, but for a random share."""
     return (depth_m > 0) & ~(_random(len(depth_m), key, _UNGUIDED, depth_m) < unguided)
-
-
-def resample(
-    rays: Rays,
-    space: Space,
-    samples: Samples,
-    weights: Tensor,
-    *,
-    count: int,
-    margin: float = 0.0,
-    anneal: float = 1.0,
-    occupancy: Occupancy | None = None,
-    key: Key | None = None,
-) -> Samples:
-    """Sample `count` intervals of even mass under the weights (m,) that the rays' samples had in a round before.
-
-    Bins are widened by `margin` (in s) and their masses raised to `anneal` first: see nerf/twin/sample.py, resample.
-    """
-    course = _course(rays, space, count, key)
-    # All but the last end move by the same share of 1 / (count + 1), as in nerfstudio's PDF sampler.
-    step = torch.arange(count + 1, device=weights.device, dtype=weights.dtype)
-    shift = course.shift if key is not None else torch.full_like(course.shift, 0.5)
-    targets = (step[None] + shift[:, None]) / (count + 1)
-    ends = kernels_for(weights.device).sample.resample(samples, weights, targets, margin, anneal)
-    return _pick(replace(course, ends=ends, slots=count), occupancy)
-
-
-def _course(rays: Rays, space: Space, count: int, key: Key | None) -> Course:
-    """Plan `count` candidates over the whole of each ray."""
-    if count < 1:
-        raise ValueError(f"expected at least one candidate a ray, found {count}")
-    aim = space.aim(rays)
-    low, span = space.limits(aim.knee_m)
-    none = torch.zeros_like(aim.knee_m)
-    shift = torch.ones_like(none) if key is None else 1 - _random(len(rays), key, _SHIFTS, none)
-    return Course(
-        origins=aim.origins,
-        directions=aim.directions,
-        norms=rays.norms,
-        knee_m=aim.knee_m,
-        low=low,
-        span=span,
-        start=space.spacing(aim.first_m, aim.knee_m),
-        stop=space.spacing(aim.last_m, aim.knee_m),
-        count=torch.full_like(none, count, dtype=torch.int32),
-        band0_m=none,
-        band1_m=none,
-        shift=shift,
-        ends=None,
-        band_count=1,
-        slots=count + 1,
-        near_m=space.near_m,
-        far_m=space.far_m,
-        kind=space.code,
-    )
 
 
 def _random(count: int, key: Key | None, stream: int, like: Tensor) -> Tensor:
@@ -134,9 +154,3 @@ def _random(count: int, key: Key | None, stream: int, like: Tensor) -> Tensor:
         return torch.ones(count, dtype=like.dtype, device=like.device)
     generator = np.random.Generator(np.random.Philox(key=list(key), counter=[0, 0, 0, stream]))
     return torch.from_numpy(generator.random(count, dtype=np.float32)).to(like)
-
-
-def _pick(course: Course, occupancy: Occupancy | None) -> Samples:
-    """Keep what lies in occupied cells and pad it."""
-    kept, resolution = (None, 1) if occupancy is None else (occupancy.kept.reshape(-1), occupancy.resolution)
-    return kernels_for(course.start.device).sample.pick(course, kept, resolution)

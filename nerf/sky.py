@@ -1,9 +1,11 @@
-"""What lies behind everything: a colour for every direction."""
+"""Environment map: a colour for every direction, behind everything."""
 
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from priors.errors import expect
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,6 +14,9 @@ class SkyConfig:
 
     sizes: tuple[int, ...] = (8, 32, 128)
     """Texels along a side of each: the coarse ones colour what the fine ones never saw."""
+
+    def __post_init__(self) -> None:
+        expect(bool(self.sizes) and min(self.sizes) >= 2, "sky sizes", self.sizes, "one or more, of 2 texels or more")
 
 
 class Sky:
@@ -40,12 +45,6 @@ class Sky:
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name; a backward pass sets their `.grad`."""
         return {"texels": self.texels}
-
-    def load(self, state: dict[str, Tensor]) -> None:
-        """Take over another sky's texels."""
-        if state["texels"].shape != self.texels.shape:
-            raise ValueError(f"sky: expected {tuple(self.texels.shape)} texels, found {tuple(state['texels'].shape)}")
-        self.texels.copy_(state["texels"])
 
 
 def corners(units: Tensor, sizes: tuple[int, ...]) -> tuple[Tensor, Tensor]:

@@ -1,4 +1,4 @@
-"""A space: what the field's grid covers, and how depth along a ray is spaced. The three families differ only here.
+"""Scene contraction and ray spacing: what the field's grid covers, how depth is spaced. The families differ here.
 
     box      Instant-NGP: a box; rays end where they leave it
     ball     MipNeRF-360: everything, what is outside the inner ellipsoid contracted into a shell
@@ -16,13 +16,13 @@ import torch
 from torch import Tensor
 
 from nerf.twin import space as twin
-from nerf.types import Rays
+from nerf.types import BALL, BOX, SPHERES, Rays, Samples, Spacing
 
 Kind: TypeAlias = Literal["box", "ball", "spheres"]
 Triple: TypeAlias = tuple[float, float, float]
 Points = npt.NDArray[np.floating[Any]]
 
-CODES: dict[str, int] = {"box": twin.BOX, "ball": twin.BALL, "spheres": twin.SPHERES}
+CODES: dict[str, int] = {"box": BOX, "ball": BALL, "spheres": SPHERES}
 NEAR_M, FAR_M = 0.5, 250.0
 """Depths in which surfaces are looked for where no prior tells, metres."""
 AROUND_PATH_M = {"box": 64.0, "ball": 16.0, "spheres": 16.0}
@@ -41,8 +41,8 @@ class Aim:
     """(r, 3) places of the camera centres."""
     directions: Tensor
     """(r, 3) change of place per metre of depth."""
-    knee_m: Tensor
-    """(r,) depth up to which spacing is linear."""
+    spacing: Spacing
+    """Depth to s and back."""
     first_m: Tensor
     """(r,) depth where the space begins for this ray."""
     last_m: Tensor
@@ -144,8 +144,15 @@ class Space:
         outer = 4 * mean_m * torch.clamp(radius, min=1) ** 2
         return outer if self.kind == "ball" else torch.where(table > 0, outer, 2 * mean_m)
 
+    def footprint(self, samples: Samples, pixel: float) -> Tensor:
+        """Return the samples' standard deviations across the ray, (m,) in units of u; pixel: 1 / focal length.
+
+        A pixel is as wide as a cone of standard deviation t pixel / sqrt(12) (Barron et al., ICCV 2021, eq. 8).
+        """
+        return samples.t * (pixel / 12**0.5) / self.stretch_m(samples.u, samples.table)
+
     def aim(self, rays: Rays) -> Aim:
-        """Bring rays into the space: places, knee, and the depths between which they are in it."""
+        """Bring rays into the space: places, spacing, and the depths between which they are in it."""
         origins, directions = self.places(rays.origins_m), self.turn(rays.directions)
         near, far = torch.full_like(origins[:, 0], self.near_m), torch.full_like(origins[:, 0], self.far_m)
         knee = torch.full_like(near, self.knee_m)
@@ -153,22 +160,13 @@ class Space:
             knee = torch.clamp(twin.exits(origins, directions), min=min(self.half_m) / 2, max=self.far_m)
         if self.kind == "box":
             near, far = twin.clip(origins, directions, near, far)
-        return Aim(origins.contiguous(), directions.contiguous(), knee, near, far)
+        return Aim(origins.contiguous(), directions.contiguous(), self.spacing(knee), near, far)
 
-    def limits(self, knee_m: Tensor) -> tuple[Tensor, Tensor]:
-        """Return ramp(near) and ramp(far) - ramp(near), (r,): s is the ramp between them."""
+    def spacing(self, knee_m: Tensor) -> Spacing:
+        """Return how depth is spaced with knees (r,)."""
         low = twin.ramp(torch.full_like(knee_m, self.near_m), knee_m)
-        return low, twin.ramp(torch.full_like(knee_m, self.far_m), knee_m) - low
-
-    def spacing(self, t: Tensor, knee_m: Tensor) -> Tensor:
-        """Map camera-z depths t to s in [0, 1]: linear up to the knee, then linear in 1/t."""
-        low, span = self.limits(knee_m)
-        return torch.clamp((twin.ramp(t, knee_m) - low) / span, 0, 1)
-
-    def depth(self, s: Tensor, knee_m: Tensor) -> Tensor:
-        """Map s in [0, 1] to camera-z depths, metres: `spacing` undone."""
-        low, span = self.limits(knee_m)
-        return torch.clamp(twin.unramp(low + s * span, knee_m), self.near_m, self.far_m)
+        span = twin.ramp(torch.full_like(knee_m, self.far_m), knee_m) - low
+        return Spacing(knee_m, low, span, self.near_m, self.far_m)
 
 
 def _axes(positions_m: Points, points_m: Points) -> npt.NDArray[np.float64]:
@@ -183,13 +181,13 @@ def _axes(positions_m: Points, points_m: Points) -> npt.NDArray[np.float64]:
     elif path_spread[0] < 1:
         return np.eye(3)
     if path_spread[0] / np.sqrt(len(positions_m)) < 1:
-        found = np.linalg.eigh(spread)[1].T
+        axes = np.linalg.eigh(spread)[1].T
     else:
         # Across the path: the directions in which the points are spread most and least.
         across = np.eye(3) - np.outer(path[0], path[0])
-        found = np.linalg.eigh(across @ (spread + 1e-6 * np.diag([1.0, 2.0, 3.0])) @ across)[1].T
-        found[0] = path[0]
-    return _nearest_order(found)
+        axes = np.linalg.eigh(across @ (spread + 1e-6 * np.diag([1.0, 2.0, 3.0])) @ across)[1].T
+        axes[0] = path[0]
+    return _nearest_order(axes)
 
 
 def _nearest_order(axes: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Which frames train and which are held out: the study's rule, on positions in the drive."""
+"""Train-test split: the study's rule, on positions in the drive."""
 
 from priors.errors import DataError
 

@@ -1,4 +1,4 @@
-"""Frames' maps in one .npy file: written a frame at a time, read without ever being held.
+"""Memory-mapped stack of frames in one .npy file: written a frame at a time, read without ever being held.
 
 What a process maps of a file counts as its memory, though the system could take it back at any time; and a few thousand
 random pixels map hundreds of megabytes. So only small files are mapped: of large ones every pixel is a read of its own

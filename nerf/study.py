@@ -1,4 +1,4 @@
-"""A study: a grid of runs over one drive.
+"""Study: a grid of runs over one drive.
 
     <study>/<run>/...         a run each: nerf.run, nerf.report
            /table.md ...      nerf.study_table
@@ -10,15 +10,24 @@ and a study that asks for more makes what is new.
 import itertools
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, fields
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
+from eval.lpips import Lpips
 from eval.protocol import ScoreError
+from nerf.config import FitConfig
+from nerf.fit import OnStep
+from nerf.losses import DepthLoss
+from nerf.prepare import ProgressBar, SceneConfig, silent
 from nerf.report import Report
+from nerf.run import RunConfig, claim
+from priors import cache
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.records import upgrade
+from priors.types import Drive
 
 NONE = "none"
 """The prior of a run by colours alone."""
@@ -114,8 +123,8 @@ class Study:
             raise DataError(f"study: two priors are named {min(twice)}: a study is of one drive")
         choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
         grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
-        made = (RunSpec(*choice) for choice in grid)
-        return list(dict.fromkeys(_without_prior(spec) if spec.prior == NONE else spec for spec in made))
+        specs = (RunSpec(*choice) for choice in grid)
+        return list(dict.fromkeys(_without_prior(spec) if spec.prior == NONE else spec for spec in specs))
 
 
 @dataclass(frozen=True)
@@ -133,6 +142,52 @@ class Outcome:
 
 Runner = Callable[[RunSpec, Path, dict[str, Any]], Report]
 """Fits and reports one run in a folder; the report's info must hold the dict as its `config`."""
+
+
+def unwatched(label: str) -> AbstractContextManager[OnStep]:
+    """Show no progress of a fit."""
+    return nullcontext(lambda status: None)
+
+
+@dataclass(frozen=True)
+class FitRunner:
+    """The usual Runner: fits a drive and scores its held-out views, all runs by one budget."""
+
+    drive: Drive
+    fit: FitConfig
+    """What the runs share; family, depth loss and seed are the run's own."""
+    frames: str | None = None
+    """Range of frames, a:b."""
+    device: str = "auto"
+    """Where to train and render."""
+    lpips: Lpips | None = None
+    """None leaves that figure out."""
+    progress: ProgressBar = silent
+    """Shows what is prepared and rendered."""
+    watch: Callable[[str], AbstractContextManager[OnStep]] = unwatched
+    """Opens a progress bar of a fit of this name; yields what is called after each step."""
+    command: Callable[[RunSpec, Path], str] | None = None
+    """Writes the command that makes one run alone."""
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """What decides the figures besides a run's own choices: drive, frames and budget."""
+        budget = {"seconds": self.fit.seconds} if self.fit.steps is None else {"steps": self.fit.steps}
+        return {"drive": self.drive.describe(), "frames": self.frames, **budget}
+
+    def __call__(self, spec: RunSpec, folder: Path, config: dict[str, Any]) -> Report:
+        """Fit and score one run; a run of another budget is begun anew."""
+        loss = cast("DepthLoss", spec.loss or "none")
+        model, losses = replace(self.fit.model, family=spec.field), replace(self.fit.losses, loss=loss)
+        fitted = replace(self.fit, model=model, losses=losses, seed=spec.seed)
+        prior = None if spec.prior == NONE else cache.only(Path(spec.prior))
+        scene = SceneConfig(spec.views, self.frames, spec.filters())
+        run = claim(folder, RunConfig.of(self.drive, prior, scene, fitted), same_budget=True)
+        run = replace(run, progress=self.progress, source=self.drive)
+        with self.watch(spec.name) as on_step:
+            run.fit(self.device, on_step)
+        typed = {} if self.command is None else {"command": self.command(spec, folder)}
+        return run.report(self.device, self.lpips, {"name": spec.name, "config": config, **typed})
 
 
 def run_study(
@@ -156,7 +211,7 @@ def run_study(
         spec_record = asdict(spec) | {"prior": spec.prior_name}  # a cache may move: the name holds the prior's key
         config = json.loads(json.dumps({"spec": spec_record, **settings}, allow_nan=False))
         done = _done(folder / spec.name, config)
-        outcome = Outcome(spec, done, fresh=False) if done else _made(spec, folder / spec.name, config, run)
+        outcome = Outcome(spec, done, fresh=False) if done else _outcome(spec, folder / spec.name, config, run)
         outcomes.append(outcome)
         on_run(outcome)
     return outcomes
@@ -178,7 +233,7 @@ def _done(folder: Path, config: dict[str, Any]) -> Report | None:
     return report if told == config else None
 
 
-def _made(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:
+def _outcome(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:
     """Make a run; what a user can mend is told, anything else is raised."""
     try:
         report = run(spec, folder, config)

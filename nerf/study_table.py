@@ -1,4 +1,4 @@
-"""The table of a study, in the shape of the paper's: one row a choice, one figure a column; and its density curve.
+"""Table of a study, in the shape of the paper's: one row a choice, one figure a column; and its density curve.
 
 <study>/table.md .tex .csv .txt
        /report.html            the same as a page, with the plots

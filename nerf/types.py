@@ -1,9 +1,10 @@
-"""The data of a radiance field: rays, samples, what was rendered, a hash grid's size, the networks' weights.
+"""Data of a radiance field: rays, samples, what was rendered, a hash grid's size, the networks' weights.
 
 All of `nerf` may import this file, and it imports nothing of `nerf`: what works on the data lies above it.
 """
 
 import functools
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple, TypeAlias
 
@@ -12,6 +13,11 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from priors.errors import DataError
+from priors.types import Camera, Depth, FloatMap, Matrix
+
+BOX, BALL, SPHERES = 0, 1, 2
+"""The kinds of a space as the kernels know them: nerf.space."""
 FEATURES = 2
 """Features of a grid's row: two bfloat16 are one 32-bit word in the kernels."""
 HASH_PRIME_Y, HASH_PRIME_Z = 2654435761, 805459861
@@ -28,6 +34,8 @@ LEAST_MASS = 1e-6
 """A ray with less of the prior's mass than this in its samples has no target: its KL loss is 0."""
 INTERLEVEL_SOFT = 1e-7
 """Added to the weights that the interlevel loss divides by."""
+OPAQUE = 0.5
+"""Least opacity of a pixel whose depth is kept: below it, most of the light is the sky's."""
 
 Key: TypeAlias = tuple[int, int]
 """Seed and step: what random numbers are drawn from."""
@@ -50,9 +58,9 @@ class GridConfig:
 
     def __post_init__(self) -> None:
         if not (1 <= self.levels <= 16 and 4 <= self.log2_size <= 24 and self.tables >= 1):
-            raise ValueError(f"expected 1 to 16 levels of 2^4 to 2^24 rows and a table, found {self}")
+            raise DataError(f"hash grid: expected 1 to 16 levels of 2^4 to 2^24 rows and a table, found {self}")
         if not 1 <= self.coarsest <= self.finest <= 1 << 20:
-            raise ValueError(f"expected 1 <= coarsest <= finest <= 2^20 cells, found {self}")
+            raise DataError(f"hash grid: expected 1 <= coarsest <= finest <= 2^20 cells, found {self}")
 
     @property
     def rows(self) -> int:
@@ -139,6 +147,32 @@ class Rays:
         return self.directions / self.norms[:, None]
 
 
+class Target(NamedTuple):
+    """Where a batch's prior expects surfaces: a normal distribution of depth on each ray; (r,) tensors."""
+
+    norms: Tensor
+    """Metres along the ray per metre of camera-z depth."""
+    prior_m: Tensor
+    """Camera-z depth, metres; 0 = no value."""
+    deviation_m: Tensor
+    """Standard deviation, metres."""
+
+
+class Spacing(NamedTuple):
+    """How depth along each ray is spaced: nerf.twin.space, `spacing` and `depth`, map it to s in [0, 1] and back."""
+
+    knee_m: Tensor
+    """(r,) depth up to which spacing is linear; beyond it is linear in 1 / depth."""
+    low: Tensor
+    """(r,) ramp of the near depth."""
+    span: Tensor
+    """(r,) ramp of the far depth, less low."""
+    near_m: float
+    """Camera-z depth of s = 0."""
+    far_m: float
+    """Camera-z depth of s = 1."""
+
+
 @dataclass(frozen=True, slots=True)
 class Course:
     """Along what each ray's candidates lie: a stretch even in s, then a band even in depth; (r,) or (r, 3) tensors."""
@@ -149,12 +183,8 @@ class Course:
     """(r, 3) change of place per metre of depth."""
     norms: Tensor
     """(r,) metres along the ray per metre of depth."""
-    knee_m: Tensor
-    """(r,) depth up to which spacing is linear."""
-    low: Tensor
-    """(r,) ramp of the space's near depth."""
-    span: Tensor
-    """(r,) ramp of its far depth, less low."""
+    spacing: Spacing
+    """Depth to s and back."""
     start: Tensor
     """(r,) s where the stretch begins."""
     stop: Tensor
@@ -173,10 +203,8 @@ class Course:
     """Candidates in each band."""
     slots: int
     """Columns that hold any ray's candidates."""
-    near_m: float
-    far_m: float
     kind: int
-    """The space's code: nerf.twin.space."""
+    """The space's kind: BOX, BALL or SPHERES."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,6 +229,18 @@ class Samples:
     """(m,) int32: which of the field's tables holds it (0 inner, 1 outer)."""
     used: int
     """How many samples are real."""
+
+
+class Histogram(NamedTuple):
+    """Where the next round of samples goes: the samples of a round and the weights that it gave them."""
+
+    samples: Samples
+    weights: Tensor
+    """(m,) share of the ray's light that each sample stops."""
+    margin: float = 0.0
+    """By how much each sample's interval is widened, in s."""
+    anneal: float = 1.0
+    """Power to which the intervals' masses are raised (MipNeRF-360, appendix C)."""
 
 
 def padded_count(used: int) -> int:
@@ -245,3 +285,26 @@ class Gradients:
         like = torch.zeros_like
         flat = like(rendered.weights)
         return cls(like(rendered.rgb), like(rendered.depth_m), like(rendered.depth_m), flat, flat.clone())
+
+
+@dataclass(frozen=True, slots=True)
+class RenderedView:
+    """What a field shows from one place."""
+
+    rgb: FloatMap
+    """(height, width, 3) in [0, 1]."""
+    depth_m: FloatMap
+    """(height, width) expected camera-z depth of what is not sky, metres."""
+    median_m: FloatMap
+    """(height, width) camera-z depth that half of the light comes from beyond; 0 where it never is."""
+    opacity: FloatMap
+    """(height, width) share of the light that is not the sky's, [0, 1]."""
+
+    def solid(self, opacity: float = OPAQUE) -> Depth:
+        """Return the expected depth where the field is at least so opaque."""
+        sure = (self.opacity >= opacity) & np.isfinite(self.depth_m) & (self.depth_m > 0)
+        return Depth(np.where(sure, self.depth_m, 0).astype(np.float32))
+
+
+Render: TypeAlias = Callable[[Matrix, Camera], RenderedView]
+"""Renders a field from T_world_cam (4, 4), metres, through a camera."""

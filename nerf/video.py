@@ -1,4 +1,4 @@
-"""A video along the drive's path: colour over depth, the camera gliding between the frames' poses."""
+"""Video along the drive's path: colour over depth, the camera gliding between the frames' poses."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.image import as_uint8
-from nerf.pictures import Render
+from nerf.types import Render
 from priors.draw.colours import colour_depth
 from priors.draw.mp4 import write_mp4
 from priors.errors import DataError
@@ -41,12 +41,12 @@ def interpolate(T_world_cam: Poses, steps: int) -> Poses:
     if len(T_world_cam) < 2:
         return T_world_cam
     frames = np.arange(len(T_world_cam))
-    wanted = np.arange(steps * (len(frames) - 1) + 1) / steps
-    found = np.tile(np.eye(4), (len(wanted), 1, 1))
-    found[:, :3, :3] = Slerp(frames, Rotation.from_matrix(T_world_cam[:, :3, :3]))(wanted).as_matrix()
+    times = np.arange(steps * (len(frames) - 1) + 1) / steps
+    poses = np.tile(np.eye(4), (len(times), 1, 1))
+    poses[:, :3, :3] = Slerp(frames, Rotation.from_matrix(T_world_cam[:, :3, :3]))(times).as_matrix()
     for axis in range(3):
-        found[:, axis, 3] = np.interp(wanted, frames, T_world_cam[:, axis, 3])
-    return found
+        poses[:, axis, 3] = np.interp(times, frames, T_world_cam[:, axis, 3])
+    return poses
 
 
 def write_video(

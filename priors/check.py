@@ -58,10 +58,10 @@ def check(drive: Drive, samples: int = SAMPLES) -> list[Finding]:
     if not frames:
         return findings
     step = max(1, -(-len(frames) // samples))
-    chosen = frames[step // 2 :: step] or frames[:1]
+    sampled = frames[step // 2 :: step] or frames[:1]
     parts: tuple[tuple[Callable[[list[Frame]], Iterator[Finding]], list[Frame]], ...] = (
-        (_calibration, frames), (_files, chosen), (_stereo, chosen), (_poses, frames), (_times, frames),
-        (_lidar, chosen),
+        (_calibration, frames), (_files, sampled), (_stereo, sampled), (_poses, frames), (_times, frames),
+        (_lidar, sampled),
     )  # fmt: skip
     for part, over in parts:
         findings += part(over)
@@ -113,8 +113,8 @@ def _calibration(frames: list[Frame]) -> Iterator[Finding]:
     shown = f"{width}x{height}, focal length {K[0, 0]:.1f} px ({angle:.0f} degrees)"
     centred = 0.25 < K[0, 2] / width < 0.75 and 0.25 < K[1, 2] / height < 0.75
     if not centred:
-        found = f"{shown}, centre ({K[0, 2]:.0f}, {K[1, 2]:.0f}) far from the middle"
-        yield Finding("fatal", "calibration", f"{found}: were images or calibration resized or cropped?")
+        centre = f"centre ({K[0, 2]:.0f}, {K[1, 2]:.0f}) far from the middle"
+        yield Finding("fatal", "calibration", f"{shown}, {centre}: were images or calibration resized or cropped?")
     elif not 15 < angle < 140 or not 0.8 < K[0, 0] / K[1, 1] < 1.25:
         yield Finding("warning", "calibration", f"{shown}, fy {K[1, 1]:.1f} px: unusual, is it this camera's?")
     else:
@@ -150,12 +150,12 @@ def _files(frames: list[Frame]) -> Iterator[Finding]:
 
 def _stereo(frames: list[Frame]) -> Iterator[Finding]:
     """Does the other camera see things shifted to the right side, along rows?"""
-    found = [shifts for frame in frames if (shifts := _try(match_corners, frame)) is not None]
-    if not found:
+    by_frame = [shifts for frame in frames if (shifts := _try(match_corners, frame)) is not None]
+    if not by_frame:
         return
-    shifts = np.concatenate(found)
+    shifts = np.concatenate(by_frame)
     if len(shifts) < 30:
-        text = f"only {len(shifts)} corners of {len(found)} frames found in the other image: is it the same moment?"
+        text = f"only {len(shifts)} corners of {len(by_frame)} frames found in the other image: is it the same moment?"
         yield Finding("warning", "stereo", text)
         return
     disparity_px, rows_px = np.median(shifts, axis=0)
@@ -174,34 +174,34 @@ def _stereo(frames: list[Frame]) -> Iterator[Finding]:
 
 def _poses(frames: list[Frame]) -> Iterator[Finding]:
     """Do the poses move like a car?"""
-    placed = [frame for frame in frames if frame.T_world_cam is not None]
-    if len(placed) < 2:
+    posed = [frame for frame in frames if frame.T_world_cam is not None]
+    if len(posed) < 2:
         yield Finding("note", "poses", "no poses: sweeps cannot be accumulated, radiance fields cannot be fitted")
         return
-    if len(placed) < len(frames):
+    if len(posed) < len(frames):
         lacking = [frame.id for frame in frames if frame.T_world_cam is None]
         yield Finding("warning", "poses", f"{len(lacking)} frames have none: {_some(lacking)}")
-    T = np.stack([frame.T_world_cam for frame in placed if frame.T_world_cam is not None])
+    T = np.stack([frame.T_world_cam for frame in posed if frame.T_world_cam is not None])
     skewed = np.abs(T[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > 1e-3
     skewed |= np.linalg.det(T[:, :3, :3]) < 0
     if skewed.any():
-        ids = [placed[n].id for n in np.flatnonzero(skewed)]
+        ids = [posed[n].id for n in np.flatnonzero(skewed)]
         yield Finding("fatal", "poses", f"{len(ids)} are no rigid motions: {_some(ids)}: their 3x3 part is no rotation")
-    yield from _motion(placed, T)
+    yield from _motion(posed, T)
 
 
-def _motion(placed: list[Frame], T: npt.NDArray[np.float64]) -> Iterator[Finding]:
+def _motion(posed: list[Frame], T: npt.NDArray[np.float64]) -> Iterator[Finding]:
     """Speed, jumps, stand-still and direction from poses (n, 4, 4)."""
     steps = np.diff(T[:, :3, 3], axis=0)
     lengths_m = np.linalg.norm(steps, axis=1)
-    gaps_s = _gaps_s(placed)
+    gaps_s = _gaps_s(posed)
     speed = lengths_m / gaps_s
     around = np.array([np.median(speed[max(0, n - 5) : n + 6]) for n in range(len(speed))])
     jumps = (speed > JUMP * around) & (lengths_m - around * gaps_s > JUMP_M) | (speed > FASTEST_M_S)
-    text = f"{len(placed)} poses, {lengths_m.sum():.1f} m, median {np.median(speed):.1f} m/s"
+    text = f"{len(posed)} poses, {lengths_m.sum():.1f} m, median {np.median(speed):.1f} m/s"
     if jumps.any():
         worst = int(np.argmax(np.where(jumps, lengths_m, 0)))
-        where = f"{placed[worst].id} to {placed[worst + 1].id} moves {lengths_m[worst]:.1f} m"
+        where = f"{posed[worst].id} to {posed[worst + 1].id} moves {lengths_m[worst]:.1f} m"
         yield Finding("warning", "poses", f"{text}; {np.count_nonzero(jumps)} jumps, the largest: {where}")
     else:
         yield Finding("ok", "poses", text)
@@ -255,8 +255,8 @@ def _lidar(frames: list[Frame]) -> Iterator[Finding]:
     if not any(frame.has("other") and frame.baseline_m for frame in having):
         yield Finding("note", "lidar", "agreement with the camera not checked: it needs the second camera")
         return
-    found = [pairs for frame in having if (pairs := _try(compare_sweep, frame)) is not None]
-    pairs = np.concatenate(found) if found else np.zeros((0, 2))
+    by_frame = [pairs for frame in having if (pairs := _try(compare_sweep, frame)) is not None]
+    pairs = np.concatenate(by_frame) if by_frame else np.zeros((0, 2))
     if len(pairs) < 200:
         text = f"only {len(pairs)} points fall where stereo sees something: does calibration place it on this camera?"
         yield Finding("fatal", "lidar", text)

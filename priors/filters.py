@@ -73,15 +73,15 @@ def keep_best(depth: Depth, fraction: float, seed: int = 0) -> Depth:
     """
     confidence = _confidence(depth)[depth.valid]
     count = math.floor(fraction * confidence.size + 0.5)
-    chosen = np.zeros(confidence.size, dtype=np.bool_)
+    stays = np.zeros(confidence.size, dtype=np.bool_)
     if count > 0:
         least = np.partition(confidence, confidence.size - count)[confidence.size - count]
-        chosen = confidence > least
+        stays = confidence > least
         tied = np.flatnonzero(confidence == least)
-        wanted = count - np.count_nonzero(chosen)
-        chosen[np.random.default_rng(seed).permutation(tied)[:wanted]] = True
+        wanted = count - np.count_nonzero(stays)
+        stays[np.random.default_rng(seed).permutation(tied)[:wanted]] = True
     mask = depth.valid
-    mask[mask] = chosen
+    mask[mask] = stays
     return depth.keep(mask)
 
 
@@ -93,9 +93,9 @@ def keep_random(depth: Depth, fraction: float, seed: int = 0) -> Depth:
     """
     mask = depth.valid
     drawn = np.random.default_rng(seed).random(mask.shape)[mask]
-    chosen = np.zeros(drawn.size, dtype=np.bool_)
-    chosen[np.argsort(drawn, kind="stable")[: math.floor(fraction * drawn.size + 0.5)]] = True
-    mask[mask] = chosen
+    stays = np.zeros(drawn.size, dtype=np.bool_)
+    stays[np.argsort(drawn, kind="stable")[: math.floor(fraction * drawn.size + 0.5)]] = True
+    mask[mask] = stays
     return depth.keep(mask)
 
 

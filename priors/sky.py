@@ -23,12 +23,12 @@ from priors.types import Depth, FloatMap, Image, Mask
 
 VERSION = 1
 """Goes into the cache's key of maps that were cropped by the mask: raise it when the mask changes."""
-BLOCKS = 20_000
+MOST_BLOCKS = 20_000
 """Most blocks an image is averaged to."""
 WEIGHTS = Path(__file__).parent / "weights" / "sky.npz"
 NOISE = np.float32(4e-3)
 """One grey level: texture below it is sensor noise."""
-FAR = np.float32(12)
+SATURATED = np.float32(12)
 """Cost, and largest logit, beyond which more makes no difference."""
 SLOPE, SLACK = 12.0, 0.03
 """Cost of a path through the image per unit of colour change, and the change from block to block that is free."""
@@ -75,7 +75,7 @@ def rows_below(sky: Mask, margin: int = 16) -> slice:
 
 def block_side(height: int, width: int) -> int:
     """Return the side of the blocks an image is averaged to, pixels."""
-    return max(1, int(np.ceil(np.sqrt(height * width / BLOCKS))))
+    return max(1, int(np.ceil(np.sqrt(height * width / MOST_BLOCKS))))
 
 
 @cache
@@ -105,7 +105,7 @@ def apply_layers(layers: Layers, values: Floats) -> FloatMap:
 
 def sigmoid(logit: FloatMap) -> FloatMap:
     """Turn logits into probabilities."""
-    return np.float32(1) / (np.float32(1) + np.exp(-np.clip(logit, -FAR, FAR)))
+    return np.float32(1) / (np.float32(1) + np.exp(-np.clip(logit, -SATURATED, SATURATED)))
 
 
 def describe(colour: Floats, texture: FloatMap) -> tuple[Floats, Floats]:
@@ -175,11 +175,13 @@ def compare(first: Floats, colour: Floats, logit: FloatMap) -> Floats:
     likelier = log_ratio(first[0], first[4], *weights)
     # The surest sky of the image starts free of charge, even where nothing is quite sure (dusk, grey cameras).
     surest = min(max(float(np.quantile(logit, 0.995)), 0.0), 4.0)
-    starts = np.stack([np.clip(surest - logit, 0, FAR), np.clip(logit + 4, 0, FAR)]).astype(np.float32, copy=False)
+    starts = np.stack([np.clip(surest - logit, 0, SATURATED), np.clip(logit + 4, 0, SATURATED)]).astype(
+        np.float32, copy=False
+    )
     from_sky, from_rest = grow_all(starts, colour, SLOPE, SLACK)
     count = np.arange(1, sky.shape[0] + 1, dtype=np.float32)[:, None]
     evidence = [
-        np.clip(logit, -FAR, FAR),
+        np.clip(logit, -SATURATED, SATURATED),
         sky,
         likelier,
         blur(likelier, 5),

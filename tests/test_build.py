@@ -5,12 +5,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
+import cv2
 import numpy as np
 import pytest
 
 from priors import build, selection
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.machine import threads
 from priors.selection import Selection
 from priors.types import Camera, Depth, Drive, Frame, Input, Method
 
@@ -206,6 +208,24 @@ def test_bad_shards_say_what_is_expected(text: str) -> None:
 def test_a_dry_run_leaves_no_folder(tmp_path: Path) -> None:
     assert len(build.prepare(Line(), Plane(), folder=tmp_path / "cache").plan().todo) == 10
     assert not (tmp_path / "cache").exists()
+
+
+def test_a_build_holds_the_threads_as_the_command_does(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Inside a build, OpenCV has as many threads as a command gives it; afterwards it has its own again."""
+    used: list[int] = []
+    plain = Plane.__call__
+
+    def spy(method: Plane, frame: Frame) -> Depth:
+        used.append(cv2.getNumThreads())
+        return plain(method, frame)
+
+    monkeypatch.setattr(Plane, "__call__", spy)
+    before = cv2.getNumThreads()
+    with threads.limited(3):
+        run(Line(2), tmp_path / "limited")
+    run(Line(2), tmp_path / "usual")
+    assert used == [3, 3, threads.count(), threads.count()]
+    assert cv2.getNumThreads() == before
 
 
 def test_the_manifest_names_what_made_it(tmp_path: Path) -> None:

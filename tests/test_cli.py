@@ -101,6 +101,23 @@ def test_a_changed_flag_makes_another_folder(built: Path, street: Path) -> None:
     assert cv2.imread(str(depth), cv2.IMREAD_UNCHANGED).max() <= 40 * 256
 
 
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["show", "--every", 0], "--every 0: expected 1 or more"),
+        (["show", "--width", -5], "--width -5: expected 16 or more pixels"),
+        (["show", "--frames", "a:b"], "--frames a:b: expected a:b, for example 5:17"),
+        (["eval", "--metrics", "abs_rel", "magic"], "--metrics magic: expected some of density, "),
+        (["build", ".", "--method", "stereo", "--workers", 0], "--workers 0: expected 1 or more"),
+        (["build", ".", "--method", "mono", "--mono.hold-out", "x"], "--mono.hold-out x: expected start:stop:step"),
+        (["street", "other", "--seed", -1], "street: seed -1: expected 0 or more"),
+    ],
+    ids=lambda value: " ".join(map(str, value)) if isinstance(value, list) else "",
+)
+def test_what_cannot_be_is_one_line(built: Path, arguments: list[object], says: str) -> None:
+    assert fail(*arguments, cwd=built).startswith(f"error: {says}")
+
+
 def test_results_of_two_protocols_do_not_mix(built: Path) -> None:
     first, second = sorted((built / "cache").glob("*/*"))[:2]
     succeed("eval", first, "--protocol", "paper", cwd=built)

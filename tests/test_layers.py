@@ -36,6 +36,9 @@ ROOMS = [
     "priors/export",
     "priors/street",
     "priors/learn",
+    "nerf/types",
+    "nerf/twin",
+    "nerf/kernels",
     "nerf",
     "cli",
 ]

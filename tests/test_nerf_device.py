@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from nerf import checkpoint
-from nerf.fit import FitConfig, fit
+from nerf.config import FitConfig, ModelConfig
+from nerf.fit import fit
 from nerf.losses import LossConfig
-from nerf.model import ModelConfig, SamplerConfig
 from nerf.occupancy import WARM_UP
-from nerf.view import renderer
+from nerf.sample import SamplerConfig
+from nerf.volumetric import VolumetricModel
 from tests.reference.elsewhere import DEVICE, Away, Elsewhere, let_numbers_in
 from tests.test_nerf_fit import corridor
 
@@ -28,10 +29,11 @@ def test_a_fit_stays_on_its_device(family: str, tmp_path: Path, monkeypatch: pyt
     camera = replace(scene.camera, size=(4, 8))
     with Elsewhere():
         made = fit(scene, config, tmp_path, device=str(DEVICE))
-        made.occupancy.update(made.density, (0, WARM_UP), probes=64)
+        assert isinstance(made, VolumetricModel)
+        made.occupancy.update(made.field.density, (0, WARM_UP), probes=64)
         again = checkpoint.open_model(tmp_path, DEVICE)
-        view = renderer(again)(scene.T_world_cam[scene.test[0]], camera)
-    assert all(isinstance(x, Away) for x in [*made.parameters().values(), *made.occupancy.state().values()])
+        view = again.render(scene.T_world_cam[scene.test[0]], camera)
+    assert all(isinstance(x, Away) for name, x in made.state().items() if name != "optimiser.steps")
     assert np.isfinite(view.rgb).all()
     assert view.rgb.std() > 0
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from nerf.export import CloudConfig, cells_of, write_cloud, write_mesh
-from nerf.pictures import RenderedView
+from nerf.types import RenderedView
 from nerf.video import VideoConfig, interpolate, write_video
 from priors.errors import DataError
 from priors.types import Camera
@@ -137,7 +137,7 @@ def test_a_cloud_that_fails_leaves_the_old_file(tmp_path):
 
 def test_a_mesh_without_open3d_says_what_is_missing(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
-    with pytest.raises(DataError, match=r"needs open3d.*roadprior\[mesh\].*libusb-1.0-0 libgl1"):
+    with pytest.raises(DataError, match=r"needs open3d.*roadprior\[mesh\].*libusb-1.0-0 libgl1 libegl1"):
         write_mesh(tmp_path / "mesh.ply", wall, CAMERA, poses(0.0), CloudConfig())
 
     def broken(name):

@@ -9,14 +9,15 @@ from nerf.field import Field, FieldConfig
 from nerf.harmonics import harmonics
 from nerf.kernels.cpu import field as cpu
 from nerf.kernels.plain import field as plain
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.sky import Sky, SkyConfig, corners
+from nerf.state import copy_into
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
 from nerf.types import GridConfig, Layers, Samples
 
-SMALL = FieldConfig(GridConfig(levels=6, log2_size=12, coarsest=4, finest=128, tables=2), NetworkConfig(width=32))
+SMALL = FieldConfig(GridConfig(levels=6, log2_size=12, coarsest=4, finest=128, tables=2), MLPConfig(width=32))
 
 
 @pytest.fixture(autouse=True)
@@ -67,7 +68,7 @@ def test_all_gradients_equal_the_twins(count, footprint):
     features = twin_encode.encode(samples.u, samples.table, footprint, stored, SMALL.grid)
     layers = Layers(*(tensor for name, tensor in leaves.items() if name != "grid"))
     basis = harmonics(units).double()
-    outputs = twin_field.shade(features, basis, samples.ray, layers, SMALL.network.initial_density, half=True)
+    outputs = twin_field.shade(features, basis, samples.ray, layers, SMALL.mlp.initial_density, half=True)
     torch.autograd.backward(outputs, (d_sigma.double(), d_rgb.double()))
 
     def far(found, wanted):
@@ -109,7 +110,7 @@ def test_density_alone_trains_and_equals_forward():
     field = trained()
     samples, units, d_sigma, d_rgb = made(300)
     sigma, _ = field.forward(samples, units)
-    assert torch.equal(field.density(samples.u, samples.table, keep=True), sigma)
+    assert torch.equal(field.density_forward(samples.u, samples.table), sigma)
     field.density_backward(d_sigma)
     found = field.grid.weights.grad.clone()
     field.forward(samples, units)
@@ -134,7 +135,7 @@ def test_backward_needs_its_forward():
     samples, _, d_sigma, d_rgb = made(64)
     with pytest.raises(RuntimeError, match="without the forward"):
         field.backward(d_sigma, d_rgb)
-    field.density(samples.u, samples.table, keep=True)
+    field.density_forward(samples.u, samples.table)
     with pytest.raises(RuntimeError, match="density_backward"):
         field.backward(d_sigma, d_rgb)
 
@@ -143,15 +144,15 @@ def test_a_loaded_field_is_the_same_and_another_shape_is_told():
     field, other = trained(), Field(SMALL, seed=9)
     samples, units, *_ = made(64)
     other.forward(samples, units)
-    other.load({name: tensor.clone() for name, tensor in field.state().items()})
+    copy_into(other.parameters(), {name: tensor.clone() for name, tensor in field.parameters().items()})
     assert torch.equal(other.forward(samples, units)[0], field.forward(samples, units)[0])
     with pytest.raises(ValueError, match=r"expected grid of shape"):
-        Field(FieldConfig(network=NetworkConfig(width=32))).load(field.state())
+        copy_into(Field(FieldConfig(mlp=MLPConfig(width=32))).parameters(), field.parameters())
 
 
 def test_same_seed_same_field():
     one, same, other = Field(SMALL, seed=1), Field(SMALL, seed=1), Field(SMALL, seed=2)
-    assert all(torch.equal(a, b) for a, b in zip(one.state().values(), same.state().values(), strict=True))
+    assert all(torch.equal(a, b) for a, b in zip(one.parameters().values(), same.parameters().values(), strict=True))
     assert not torch.equal(one.grid.weights, other.grid.weights)
 
 
@@ -164,7 +165,7 @@ def fit(field, optimiser, steps):
         sigma, rgb = field.forward(samples, units)
         loss = ((rgb - target) ** 2).mean() + ((sigma - 1) ** 2).mean()
         field.backward(2 * (sigma - 1) / len(sigma), 2 * (rgb - target) / rgb.numel())
-        optimiser.step(0.1)
+        optimiser.step(OptimiserConfig(), 0.1)
     return float(loss)
 
 
@@ -172,19 +173,19 @@ def fit(field, optimiser, steps):
 def test_fits_and_resumes_bit_for_bit(copies):
     def start():
         field = Field(SMALL)
-        return field, Optimiser(OptimiserConfig(), field.parameters(), field.copies() if copies else None)
+        return field, Optimiser(field.parameters(), field.copies() if copies else None)
 
     field, optimiser = start()
     first = fit(field, optimiser, range(1))
     assert fit(field, optimiser, range(149)) < 0.3 * first
-    saved = {name: tensor.clone() for name, tensor in {**field.state(), **optimiser.state()}.items()}
+    saved = {name: tensor.clone() for name, tensor in {**field.parameters(), **optimiser.state()}.items()}
     fit(field, optimiser, range(5))
     other, another = start()
-    other.load(saved)
+    copy_into(other.parameters(), saved)
     another.load(saved)
     fit(other, another, range(5))
-    for name, tensor in {**field.state(), **optimiser.state()}.items():
-        assert torch.equal({**other.state(), **another.state()}[name], tensor), name
+    for name, tensor in {**field.parameters(), **optimiser.state()}.items():
+        assert torch.equal({**other.parameters(), **another.state()}[name], tensor), name
 
 
 @pytest.mark.parametrize("kernels", [cpu, plain])
@@ -206,11 +207,9 @@ def test_adam_is_torchs(kernels, count):
 
 
 def test_the_rate_rises_and_falls():
-    optimiser = Optimiser(OptimiserConfig(warm_up=10, final=0.1), {})
-    optimiser.steps = 5
-    assert optimiser.rate(0.0) == pytest.approx(0.5)
-    optimiser.steps = 10
-    rates = [optimiser.rate(progress) for progress in (0.0, 0.25, 0.5, 1.0, 2.0)]
+    config = OptimiserConfig(warm_up=10, final=0.1)
+    assert config.share(5, 0.0) == pytest.approx(0.5)
+    rates = [config.share(10, progress) for progress in (0.0, 0.25, 0.5, 1.0, 2.0)]
     assert rates[0] == pytest.approx(1) and rates[2] == pytest.approx(0.55)
     assert rates[3] == rates[4] == pytest.approx(0.1) and rates == sorted(rates, reverse=True)
 
@@ -248,10 +247,10 @@ def test_every_direction_has_texels_and_neighbours_share_them():
 
 def test_sky_learns_what_it_is_shown():
     sky = Sky(SkyConfig())
-    optimiser = Optimiser(OptimiserConfig(), {f"sky.{name}": tensor for name, tensor in sky.parameters().items()})
+    optimiser = Optimiser({f"sky.{name}": tensor for name, tensor in sky.parameters().items()})
     g = torch.Generator().manual_seed(0)
     for _ in range(150):
         units = torch.nn.functional.normalize(torch.randn(1024, 3, generator=g), dim=-1)
         sky.backward(2 * (sky.forward(units) - (0.5 + 0.4 * units)) / 1024)
-        optimiser.step(0.0)
+        optimiser.step(OptimiserConfig(), 0.0)
     assert (sky.forward(units) - (0.5 + 0.4 * units)).abs().mean() < 0.02

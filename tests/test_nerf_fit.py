@@ -10,13 +10,13 @@ import torch
 from conftest import FullDisk
 
 from nerf import checkpoint, fields
-from nerf.fit import FitConfig, Status, fit
+from nerf.config import FitConfig, ModelConfig
+from nerf.fit import Status, fit
 from nerf.losses import LossConfig
-from nerf.model import ModelConfig, SamplerConfig
 from nerf.run import RunConfig, claim, open_run
+from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.split import split
-from nerf.view import renderer
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.geometry import rays as pixel_rays
@@ -58,7 +58,7 @@ def config(steps: int = 60, family: str = "ngp", **losses: object) -> FitConfig:
 def held_out(scene: Scene, run: Path) -> tuple[float, float]:
     """Return PSNR and AbsRel of the first held-out view."""
     position = scene.test[0]
-    view = renderer(checkpoint.open_model(run))(scene.T_world_cam[position], scene.camera)
+    view = checkpoint.open_model(run).render(scene.T_world_cam[position], scene.camera)
     psnr = -10 * np.log10(np.mean((view.rgb - scene.images[position] / 255) ** 2))
     truth_m = corridor().depth_m[position]  # type: ignore[index]
     seen = truth_m > 0
@@ -117,8 +117,8 @@ def test_a_finished_run_is_not_trained_again(tmp_path: Path) -> None:
     seen: list[Status] = []
     fit(corridor(), config(5), tmp_path, seen.append)
     assert seen == []
-    assert checkpoint.progress(tmp_path).step == 5
-    assert checkpoint.progress(tmp_path / "none").step == 0
+    assert checkpoint.spent(tmp_path).step == 5
+    assert checkpoint.spent(tmp_path / "none").step == 0
 
 
 def test_a_larger_budget_goes_on(tmp_path: Path) -> None:

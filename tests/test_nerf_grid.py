@@ -15,6 +15,7 @@ from nerf.kernels.cpu.lanes import load_int
 from nerf.kernels.words import flat, words
 from nerf.twin import encode as twin
 from nerf.types import GridConfig, level_shapes
+from priors.errors import DataError
 from priors.machine import threads
 from priors.machine.compiled import compiled
 
@@ -209,5 +210,5 @@ def test_the_copy_follows_the_weights():
 
 @pytest.mark.parametrize("wrong", [{"levels": 17}, {"levels": 0}, {"coarsest": 99, "finest": 10}, {"tables": 0}])
 def test_wrong_sizes_are_told(wrong):
-    with pytest.raises(ValueError, match="expected"):
+    with pytest.raises(DataError, match="expected"):
         GridConfig(**wrong)

@@ -13,12 +13,14 @@ from scipy.special import sph_harm_y
 
 from nerf.harmonics import harmonics
 from nerf.kernels.cpu import field as cpu
+from nerf.kernels.cpu import perceptron
 from nerf.kernels.plain import field as plain
-from nerf.mlp import Network, NetworkConfig
+from nerf.mlp import MLP, MLPConfig
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin
 from nerf.twin.field import LOGIT_MAX
 from nerf.types import Layers
+from priors.errors import DataError
 from priors.machine import threads
 
 INITIAL = 0.02
@@ -106,14 +108,25 @@ def test_density_alone_is_the_same_density(width, levels, count):
         torch.testing.assert_close(mine, wanted, rtol=1e-6, atol=0)
 
 
-def test_same_bits_whatever_the_threads():
-    layers, *asked, d_sigma, d_rgb = made(64, 16, 4096)
+def passes(inputs, layers, gradients):
+    """Return everything that a pass forward and back computes."""
+    d_features, d_layers = cpu.shade_backward(*inputs, layers, INITIAL, *gradients)
+    return *cpu.shade(*inputs, layers, INITIAL), d_features, *d_layers
+
+
+def test_same_bits_whatever_the_threads(monkeypatch):
+    layers, *inputs, d_sigma, d_rgb = made(64, 16, 4096)
+    gradients = d_sigma, d_rgb
     results = []
     for count in (1, 2, 5):
         with threads.limited(count):
-            d_features, d_layers = cpu.shade_backward(*asked, layers, INITIAL, d_sigma, d_rgb)
-            results.append((*cpu.shade(*asked, layers, INITIAL), d_features, *d_layers))
+            results.append(passes(inputs, layers, gradients))
     assert all(torch.equal(a, b) for other in results[1:] for a, b in zip(results[0], other, strict=True))
+    # sums in another order have other bits: had the threads a say in it, the comparison above would tell
+    monkeypatch.setattr(perceptron, "PARTS", 5)
+    other = passes(inputs, layers, gradients)
+    assert all(torch.equal(a, b) for a, b in zip(results[0][:3], other[:3], strict=True))
+    assert not any(torch.equal(a, b) for a, b in zip(results[0][3:], other[3:], strict=True))
 
 
 def test_results_do_not_depend_on_the_neighbours():
@@ -175,12 +188,12 @@ def test_harmonics_are_scipys():
 
 
 def test_new_networks_start_from_an_even_fog():
-    network = Network(NetworkConfig(), 16, torch.device("cpu"), torch.Generator().manual_seed(0), cpu)
+    network = MLP(MLPConfig(), 16, torch.device("cpu"), torch.Generator().manual_seed(0), cpu)
     sigma = network.density(torch.full((16, 64, 2), 1e-4, dtype=torch.bfloat16))
     assert torch.allclose(sigma, torch.tensor(INITIAL), rtol=0.01)
 
 
 @pytest.mark.parametrize("wrong", [{"width": 20}, {"width": 0}, {"width": 144}, {"initial_density": 0.0}])
 def test_wrong_sizes_are_told(wrong):
-    with pytest.raises(ValueError, match="expected"):
-        NetworkConfig(**wrong)
+    with pytest.raises(DataError, match="expected"):
+        MLPConfig(**wrong)

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from nerf import sample
 from nerf.occupancy import AGREED, WARM_UP, Occupancy
+from nerf.sample import Sampler
 from nerf.scene import Scene, view_rays
 from nerf.space import Kind, Space
 from nerf.types import Rays
@@ -224,7 +224,7 @@ def test_training_samples_are_noted() -> None:
     made = space("ball")
     grid = Occupancy(made, 16)
     rays = Rays(torch.zeros(64, 3), torch.tensor([[0.0, 0.0, 1.0]]).repeat(64, 1))
-    found = sample.march(rays, made, grid, count=64, key=(0, 0))
+    found = Sampler(made, grid).march(rays, 64, (0, 0))
     sigma = torch.where((found.t - 20).abs() < 1, 3.0, 1e-6)
     for _ in range(3):
         grid.observe(found, sigma)

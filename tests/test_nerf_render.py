@@ -12,7 +12,7 @@ from nerf.kernels.cpu import render as cpu
 from nerf.kernels.plain import render as plain
 from nerf.losses import LossConfig, losses, prior_weight, trimmed
 from nerf.twin import render as twin
-from nerf.types import SAMPLE_BLOCK, Gradients, Rays, Rendered, Samples
+from nerf.types import SAMPLE_BLOCK, Gradients, Rays, Rendered, Samples, Target
 
 
 def make(counts: list[int], seed: int = 0) -> tuple[Samples, Tensor, Tensor, Tensor, Rays]:
@@ -78,12 +78,16 @@ def test_losses_equal_the_twin(counts: list[int], kind: str) -> None:
     weights = cpu.forward(samples, sigma, rgb, sky).weights
     deviation_m = 0.05 * rays.depth_m + 0.1
     scale = torch.rand(len(rays), generator=torch.Generator().manual_seed(4))
-    priors = (rays.norms, rays.depth_m, deviation_m)
-    arguments = {"kl": (sigma, *priors), "sight": (weights, *priors), "distortion": (weights,)}[kind]
+    target = Target(rays.norms, rays.depth_m, deviation_m)
+    wide_target = Target(*(x.double() for x in target))
+    value, aims, wide_aims = {
+        "kl": (sigma, (target,), (wide_target,)),
+        "sight": (weights, (target,), (wide_target,)),
+        "distortion": (weights, (), ()),
+    }[kind]
     ours, theirs = torch.zeros_like(sigma), torch.zeros_like(sigma).double()
-    fast = getattr(cpu, kind)(samples, *arguments, scale, ours)
-    wide = [x.double() for x in arguments]
-    slow = getattr(plain, kind)(samples, *wide, scale.double(), theirs)
+    fast = getattr(cpu, kind)(samples, value, *aims, scale, ours)
+    slow = getattr(plain, kind)(samples, value.double(), *wide_aims, scale.double(), theirs)
     torch.testing.assert_close(fast, slow.float(), atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(ours, theirs.float(), atol=1e-5, rtol=1e-3)
 
@@ -167,13 +171,13 @@ def test_the_whole_loss_has_its_gradient(kind: str) -> None:
 
 def test_kl_is_least_where_the_prior_is() -> None:
     samples, sigma, _, _, rays = make([60], seed=2)
-    near = torch.tensor([float(samples.t[30])])
+    target = Target(rays.norms, torch.tensor([float(samples.t[30])]), torch.full((1,), 0.05))
     found = []
     for at in (15, 30, 45):
         wall = torch.full_like(sigma, 1e-6)
         wall[at] = 50.0
         d_tau = torch.zeros_like(sigma)
-        found.append(float(cpu.kl(samples, wall, rays.norms, near, torch.full((1,), 0.05), torch.ones(1), d_tau)[0]))
+        found.append(float(cpu.kl(samples, wall, target, torch.ones(1), d_tau)[0]))
     assert found[1] < min(found[0], found[2])
 
 

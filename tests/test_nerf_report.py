@@ -9,9 +9,11 @@ import pytest
 
 from eval.lpips import Lpips
 from eval.result import Result
-from nerf.pictures import KEPT, RenderedView, picture_path
-from nerf.report import Report, Truths, report
+from nerf.pictures import KEPT, picture_path
+from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
+from nerf.truths import Truths
+from nerf.types import RenderedView
 from priors import codecs
 from priors.errors import DataError
 from priors.geometry import rays
@@ -77,9 +79,9 @@ def scene():
     return Scene("wall", IDS, CAMERA, poses, images, None, None, list(range(9)), [9, 19])
 
 
-def run(scene, folder, render=exact, drive=None, checkpoint="a", **more):
+def run(scene, folder, render=exact, drive=None, checkpoint="a", on_frame=lambda: None, **scoring):
     truths = Truths(Wall() if drive is None else drive, [scene.ids[i] for i in scene.test])
-    return report(scene, truths, render, folder, checkpoint, INFO, **more)
+    return report(scene, truths, Subject(render, checkpoint, INFO), folder, Scoring(**scoring), on_frame)
 
 
 def test_an_exact_field_is_perfect(scene, tmp_path):

@@ -9,11 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nerf import sample
-from nerf.kernels import plain_kernels
+from nerf.kernels import Kernels, cpu_kernels, plain_kernels
 from nerf.occupancy import Occupancy
+from nerf.sample import Sampler, SamplerConfig
 from nerf.space import Kind, Space
 from nerf.twin import sample as twin
-from nerf.types import SAMPLE_BLOCK, Rays, Samples
+from nerf.types import SAMPLE_BLOCK, Histogram, Rays, Samples
 
 KINDS: list[Kind] = ["box", "ball", "spheres"]
 SPACE = Space("ball", (0.0, 0.0, 20.0), (12.0, 5.0, 25.0), 0.5, 200.0)
@@ -33,10 +34,6 @@ def grid(space: Space, share: float = 0.4, resolution: int = 32) -> Occupancy:
     return made
 
 
-def plain(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(sample, "kernels_for", lambda device: plain_kernels())
-
-
 def assert_equal(one: Samples, other: Samples) -> None:
     assert one.used == other.used
     for name in ("offsets", "ray", "t", "dt_m", "s0", "s1", "u", "table"):
@@ -48,25 +45,23 @@ def assert_equal(one: Samples, other: Samples) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("how", ["march", "uniform", "guided", "resample"])
 @pytest.mark.parametrize("key", [None, (3, 7)])
-def test_compiled_equals_plain_to_the_bit(monkeypatch: pytest.MonkeyPatch, kind: Kind, how: str, key) -> None:
+def test_compiled_equals_plain_to_the_bit(kind: Kind, how: str, key) -> None:
     space = dataclasses.replace(SPACE, kind=kind)
     batch, occupancy = rays(300), grid(space)
 
-    def run() -> Samples:
-        if how == "march":
-            return sample.march(batch, space, occupancy, count=48, key=key)
-        if how == "uniform":
-            return sample.march(batch, space, count=48, key=key)
+    def run(kernels: Kernels) -> Samples:
+        sampler = Sampler(space, None if how == "uniform" else occupancy, kernels.sample)
+        if how in ("march", "uniform"):
+            return sampler.march(batch, 48, key)
         if how == "guided":
-            return sample.guided(batch, space, occupancy, count=24, free=40, unguided=0.2, key=key)
-        first = sample.march(batch, space, occupancy, count=16, key=key)
+            return sampler.guided(batch, SamplerConfig(count=24, free=40, unguided=0.2), key)
+        first = sampler.march(batch, 16, key)
         weights = torch.rand(len(first.t), generator=torch.Generator().manual_seed(2))
-        return sample.resample(batch, space, first, weights, count=8, margin=0.01, occupancy=occupancy, key=key)
+        return sampler.resample(batch, Histogram(first, weights, margin=0.01), 8, key)
 
-    compiled = run()
+    compiled = run(cpu_kernels())
     assert compiled.used > 500
-    plain(monkeypatch)
-    assert_equal(compiled, run())
+    assert_equal(compiled, run(plain_kernels()))
 
 
 @settings(max_examples=40, deadline=None)
@@ -83,11 +78,9 @@ def test_samples_are_well_formed(kind: Kind, count: int, seed: int, jitter: bool
     batch = rays(30, seed)
     occupancy = None if kept is None else grid(space, kept, 16)
     key = (seed, count) if jitter else None
-    found = (
-        sample.guided(batch, space, occupancy, count=count + 1, free=count, key=key)
-        if guide
-        else sample.march(batch, space, occupancy, count=count, key=key)
-    )
+    sampler = Sampler(space, occupancy)
+    config = SamplerConfig(count=count + 1, free=count)
+    found = sampler.guided(batch, config, key) if guide else sampler.march(batch, count, key)
     used = found.used
     assert found.offsets[0] == 0 and found.offsets[-1] == used and (found.offsets.diff() >= 0).all()
     assert len(found.t) % SAMPLE_BLOCK == 0 and len(found.t) >= max(used, 1)
@@ -115,7 +108,7 @@ def test_samples_are_well_formed(kind: Kind, count: int, seed: int, jitter: bool
 @pytest.mark.parametrize("key", [None, (1, 2)])
 def test_lengths_without_a_grid_sum_to_the_way_through_the_space(kind: Kind, key) -> None:
     space, batch = dataclasses.replace(SPACE, kind=kind), rays(200)
-    found = sample.march(batch, space, count=40, key=key)
+    found = Sampler(space).march(batch, 40, key)
     aim = space.aim(batch)
     sums = torch.zeros(200).index_add_(0, found.ray[: found.used].long(), found.dt_m[: found.used])
     way = torch.clamp(aim.last_m - aim.first_m, min=0) * batch.norms
@@ -124,7 +117,7 @@ def test_lengths_without_a_grid_sum_to_the_way_through_the_space(kind: Kind, key
 
 def test_only_occupied_cells_and_all_of_them() -> None:
     batch, occupancy = rays(100), grid(SPACE)
-    every, some = sample.march(batch, SPACE, count=64), sample.march(batch, SPACE, occupancy, count=64)
+    every, some = Sampler(SPACE).march(batch, 64), Sampler(SPACE, occupancy).march(batch, 64)
     points = batch.origins_m[every.ray.long()] + every.t[:, None] * batch.directions[every.ray.long()]
     held = occupancy.holds(points[: every.used])
     assert abs(int(held.sum()) - some.used) <= 2  # `holds` rounds elsewhere
@@ -133,7 +126,7 @@ def test_only_occupied_cells_and_all_of_them() -> None:
 
 def test_guided_rays_have_their_band_the_front_and_nothing_behind() -> None:
     batch = rays(500)
-    found = sample.guided(batch, SPACE, count=32, free=64, reach=0.12, unguided=0.0, key=(0, 0))
+    found = Sampler(SPACE).guided(batch, SamplerConfig(count=32, free=64, reach=0.12, unguided=0.0), (0, 0))
     counts = found.offsets.diff()
     led = batch.depth_m > 0
     assert (counts[~led] >= 64).all() and (counts[~led] <= 65).all()
@@ -156,31 +149,32 @@ def test_guided_rays_have_their_band_the_front_and_nothing_behind() -> None:
 
 def test_a_share_of_the_guided_rays_stays_unguided() -> None:
     batch = dataclasses.replace(rays(4000), depth_m=torch.full((4000,), 10.0))
-    found = sample.guided(batch, SPACE, count=16, free=64, unguided=0.1, key=(5, 1))
+    found = Sampler(SPACE).guided(batch, SamplerConfig(count=16, free=64, unguided=0.1), (5, 1))
     assert 0.07 < (found.offsets.diff() > 30).float().mean() < 0.13
 
 
 def test_without_a_prior_guided_is_march() -> None:
     batch = rays(50, depth=False)
-    one = sample.guided(batch, SPACE, grid(SPACE), free=64, key=(1, 1))
-    assert_equal(one, sample.march(batch, SPACE, grid(SPACE), count=64, key=(1, 1)))
+    one = Sampler(SPACE, grid(SPACE)).guided(batch, SamplerConfig(free=64), (1, 1))
+    assert_equal(one, Sampler(SPACE, grid(SPACE)).march(batch, 64, (1, 1)))
 
 
 @pytest.mark.parametrize("depth_m", [1e-3, 0.5, 200.0, 1e4, 3e38])
 def test_depths_at_and_beyond_the_ends_are_sampled_within(depth_m: float) -> None:
     batch = dataclasses.replace(rays(20), depth_m=torch.full((20,), depth_m))
-    found = sample.guided(batch, SPACE, unguided=0.0, key=(1, 1))
+    found = Sampler(SPACE).guided(batch, SamplerConfig(unguided=0.0), (1, 1))
     assert found.used > 0 and torch.isfinite(found.t).all()
     assert found.t[: found.used].min() >= 0.5 and found.t.max() <= 200
 
 
 def test_the_key_decides_and_every_step_differs() -> None:
     batch, occupancy = rays(100), grid(SPACE)
-    same = [sample.guided(batch, SPACE, occupancy, key=(3, 4)) for _ in range(2)]
+    sampler, config = Sampler(SPACE, occupancy), SamplerConfig()
+    same = [sampler.guided(batch, config, (3, 4)) for _ in range(2)]
     assert_equal(*same)
     for key in ((3, 5), (4, 4)):
-        assert not torch.equal(sample.guided(batch, SPACE, occupancy, key=key).t[:50], same[0].t[:50])
-    still = [sample.march(batch, SPACE, occupancy) for _ in range(2)]
+        assert not torch.equal(sampler.guided(batch, config, key).t[:50], same[0].t[:50])
+    still = [sampler.march(batch, 64) for _ in range(2)]
     assert_equal(*still)
 
 
@@ -192,21 +186,29 @@ def test_shifts_cover_the_interval_evenly() -> None:
 
 def test_nothing_to_sample() -> None:
     none = rays(0)
-    assert sample.march(none, SPACE).used == 0 and len(sample.march(none, SPACE).t) == SAMPLE_BLOCK
-    assert sample.guided(none, SPACE).offsets.tolist() == [0]
+    sampler = Sampler(SPACE)
+    assert sampler.march(none, 64).used == 0 and len(sampler.march(none, 64).t) == SAMPLE_BLOCK
+    assert sampler.guided(none, SamplerConfig()).offsets.tolist() == [0]
     empty = grid(SPACE, 0.0)
-    found = sample.march(rays(10), SPACE, empty)
+    found = Sampler(SPACE, empty).march(rays(10), 64)
     assert found.used == 0 and found.offsets.tolist() == [0] * 11 and (found.ray == -1).all()
-    again = sample.resample(rays(10), SPACE, found, torch.zeros(len(found.t)), count=8)
+    again = sampler.resample(rays(10), Histogram(found, torch.zeros(len(found.t))), 8)
     assert again.used == 0
 
 
 def test_no_candidates_is_refused() -> None:
     with pytest.raises(ValueError, match="at least one"):
-        sample.march(rays(3), SPACE, count=0)
+        Sampler(SPACE).march(rays(3), 0)
 
 
-def histogram(seed: int, gaps: bool) -> tuple[torch.Tensor, ...]:
+def packed(offsets: list[int], s0: torch.Tensor, s1: torch.Tensor) -> Samples:
+    """Samples of which only their intervals in s count."""
+    none = torch.zeros_like(s0)
+    ray = torch.repeat_interleave(torch.tensor(offsets).diff()).to(torch.int32)
+    return Samples(torch.tensor(offsets), ray, none, none, s0, s1, none, ray, len(s0))
+
+
+def histogram(seed: int, gaps: bool) -> Histogram:
     """Three rays' bins, packed: 5, 0 and 9 of them."""
     rng = np.random.default_rng(seed)
     bins = []
@@ -215,29 +217,22 @@ def histogram(seed: int, gaps: bool) -> tuple[torch.Tensor, ...]:
         bins.append((edges[::2], edges[1::2]) if gaps else (edges[:-1], edges[1:]))
     s0, s1 = (torch.from_numpy(np.concatenate([b[i] for b in bins]).astype(np.float32)) for i in (0, 1))
     weights = torch.from_numpy(rng.random(14).astype(np.float32) ** 4)
-    return torch.tensor([0, 5, 5, 14]), s0, s1, weights
+    return Histogram(packed([0, 5, 5, 14], s0, s1), weights)
 
 
-def run(kind: str, *histogram: torch.Tensor, targets: torch.Tensor, margin: float, anneal: float) -> torch.Tensor:
-    if kind == "plain":
-        return torch.stack(twin.resample(*histogram, targets, margin, anneal))
-    from nerf.kernels.cpu.resample import invert
-
-    ends = np.empty((2, len(targets), targets.shape[1] - 1), np.float32)
-    invert(*(x.numpy() for x in histogram), targets.numpy(), margin, anneal, ends, 0, len(targets))
-    return torch.from_numpy(ends)
+KERNELS = {"plain": plain_kernels, "compiled": cpu_kernels}
 
 
-@pytest.mark.parametrize("kind", ["plain", "compiled"])
+@pytest.mark.parametrize("kind", KERNELS)
 def test_resampling_inverts_the_cumulated_mass(kind: str) -> None:
-    offsets, s0, s1, weights = histogram(0, gaps=False)
+    bins = histogram(0, gaps=False)
     targets = torch.linspace(0.02, 0.98, 13).expand(3, 13).contiguous()
-    begin, end = run(kind, offsets, s0, s1, weights, targets=targets, margin=0.0, anneal=1.0)
+    begin, end = KERNELS[kind]().sample.resample(bins, targets)
     for ray in (0, 2):
-        own = slice(int(offsets[ray]), int(offsets[ray + 1]))
-        mass = weights[own].double().numpy()
+        own = slice(int(bins.samples.offsets[ray]), int(bins.samples.offsets[ray + 1]))
+        mass = bins.weights[own].double().numpy()
         cumulated = np.concatenate([[0], np.cumsum(mass / mass.sum())])
-        edges = np.append(s0[own].numpy(), s1[own][-1].item())
+        edges = np.append(bins.samples.s0[own].numpy(), bins.samples.s1[own][-1].item())
         expected = np.interp(targets[ray].double(), cumulated, edges)
         np.testing.assert_allclose(begin[ray], expected[:-1], atol=1e-6)
         np.testing.assert_allclose(end[ray], expected[1:], atol=1e-6)
@@ -253,33 +248,32 @@ def test_resampling_inverts_the_cumulated_mass(kind: str) -> None:
     zeros=st.sampled_from([0.0, 0.5, 1.0]),
 )
 def test_compiled_resampling_equals_plain(seed: int, gaps: bool, margin: float, anneal: float, zeros: float) -> None:
-    offsets, s0, s1, weights = histogram(seed, gaps)
-    weights = weights * (torch.rand(14, generator=torch.Generator().manual_seed(seed)) >= zeros)
+    bins = histogram(seed, gaps)
+    weights = bins.weights * (torch.rand(14, generator=torch.Generator().manual_seed(seed)) >= zeros)
     targets = torch.rand(3, 9, generator=torch.Generator().manual_seed(seed)).sort(dim=1)[0]
-    args = (offsets, s0, s1, weights)
-    one = run("compiled", *args, targets=targets, margin=margin, anneal=anneal)
-    torch.testing.assert_close(
-        one, run("plain", *args, targets=targets, margin=margin, anneal=anneal), atol=1e-6, rtol=0
-    )
+    bins = bins._replace(weights=weights, margin=margin, anneal=anneal)
+    one, other = (KERNELS[kind]().sample.resample(bins, targets) for kind in ("compiled", "plain"))
+    torch.testing.assert_close(one, other, atol=1e-6, rtol=0)
     assert (one[1] >= one[0]).all() and one.min() >= 0 and one.max() <= 1
 
 
 @given(seed=st.integers(0, 300))
 @settings(max_examples=30, deadline=None)
 def test_resampled_intervals_stay_within_connected_bins(seed: int) -> None:
-    offsets, s0, s1, weights = histogram(seed, gaps=True)
+    bins = histogram(seed, gaps=True)
     targets = ((torch.arange(17) + 0.5) / 17).expand(3, 17).contiguous()
-    begin, end = run("compiled", offsets, s0, s1, weights, targets=targets, margin=0.0, anneal=1.0)
+    begin, end = cpu_kernels().sample.resample(bins, targets)
+    offsets, s0, s1 = bins.samples.offsets, bins.samples.s0, bins.samples.s1
     for ray in (0, 2):
         own = slice(int(offsets[ray]), int(offsets[ray + 1]))
         for a, b in zip(begin[ray], end[ray], strict=True):
             assert ((a >= s0[own] - 1e-7) & (b <= s1[own] + 1e-7)).any()
 
 
-def test_dilation_fills_between_bins_with_the_larger_density() -> None:
-    offsets, s0, s1 = torch.tensor([0, 2]), torch.tensor([0.2, 0.5]), torch.tensor([0.3, 0.7])
+def test_widening_fills_between_bins_with_the_larger_density() -> None:
+    bins = packed([0, 2], torch.tensor([0.2, 0.5]), torch.tensor([0.3, 0.7]))
     weights = torch.tensor([0.1, 0.6])  # densities 1 and 3
-    edges, mass, gap = twin._dilated(offsets, s0.double(), s1.double(), weights.double(), 0.15)
+    edges, mass, gap = twin._widened(Histogram(bins, weights, margin=0.15))
     torch.testing.assert_close(edges[0], torch.tensor([0.05, 0.35, 0.45, 0.85]).double(), atol=1e-6, rtol=0)
     torch.testing.assert_close(mass[0] / edges[0].diff(), torch.tensor([1.0, 3.0, 3.0]).double(), atol=1e-5, rtol=0)
     assert not gap.any()
@@ -287,11 +281,11 @@ def test_dilation_fills_between_bins_with_the_larger_density() -> None:
 
 def test_resampling_goes_where_the_weight_is() -> None:
     batch = rays(50)
-    first = sample.march(batch, SPACE, count=64)
+    first = Sampler(SPACE).march(batch, 64)
     surface = 12.0
     weights = torch.exp(-(((first.t - surface) / 1.0) ** 2)) * (first.ray >= 0)
-    found = sample.resample(batch, SPACE, first, weights, count=32, key=(0, 1))
+    found = Sampler(SPACE).resample(batch, Histogram(first, weights), 32, (0, 1))
     assert (found.offsets.diff() == 32).all()
     t = found.t[: found.used]
     assert ((t > 8) & (t < 16)).float().mean() > 0.95
-    assert_equal(found, sample.resample(batch, SPACE, first, weights, count=32, key=(0, 1)))
+    assert_equal(found, Sampler(SPACE).resample(batch, Histogram(first, weights), 32, (0, 1)))

@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nerf.scene import Scene, open_scene, view_rays
+from nerf.prepare import SceneConfig, open_scene
+from nerf.scene import Scene, view_rays
 from nerf.split import split
 from priors import cache
 from priors.cache import Prior
@@ -66,7 +67,7 @@ def flat(value: float) -> np.ndarray:
 
 
 def scene(folder: Path, drive: Drive, made: Prior | None, views: str = "dense", **options: Any) -> Scene:
-    return open_scene(drive, made, views, list(range(len(drive))), folder, **options)
+    return open_scene(drive, made, SceneConfig(views, **options), folder)
 
 
 def test_the_study_s_split() -> None:

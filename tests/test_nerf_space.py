@@ -92,21 +92,22 @@ def test_spacing_rises_and_is_undone(depth: list[float], knee: float) -> None:
     space = make("ball")
     t = torch.tensor(sorted(depth), dtype=torch.float32)
     knees = torch.full_like(t, knee)
-    s = space.spacing(t, knees)
+    ramps = space.spacing(knees)
+    s = twin.spacing(t, ramps)
     assert (s.diff() >= 0).all() and s.min() >= 0 and s.max() <= 1
     # Beyond the knee s is even in 1 / t: what float32 cannot tell there is t^2 / knee eps.
-    span = float(space.limits(knees)[1][0])
-    torch.testing.assert_close(space.depth(s, knees), t, rtol=1e-5 + 1e-6 * 200 / knee, atol=1e-5 / span)
+    span = float(ramps.span[0])
+    torch.testing.assert_close(twin.depth(s, ramps), t, rtol=1e-5 + 1e-6 * 200 / knee, atol=1e-5 / span)
 
 
 def test_spacing_covers_near_to_far_linear_then_inverse() -> None:
     space = make("ball", near_m=1.0, far_m=400.0)
-    knee = torch.full((3,), 10.0, dtype=torch.float64)
-    ends = space.spacing(torch.tensor([1.0, 400.0, 1e9], dtype=torch.float64), knee)
+    ramps = space.spacing(torch.full((3,), 10.0, dtype=torch.float64))
+    ends = twin.spacing(torch.tensor([1.0, 400.0, 1e9], dtype=torch.float64), ramps)
     assert ends.tolist() == [0, 1, 1]
-    near = space.spacing(torch.tensor([2.0, 4.0, 6.0], dtype=torch.float64), knee).diff()
+    near = twin.spacing(torch.tensor([2.0, 4.0, 6.0], dtype=torch.float64), ramps).diff()
     torch.testing.assert_close(near[0], near[1])
-    far = space.spacing(1 / torch.tensor([0.05, 0.04, 0.03], dtype=torch.float64), knee).diff()
+    far = twin.spacing(1 / torch.tensor([0.05, 0.04, 0.03], dtype=torch.float64), ramps).diff()
     torch.testing.assert_close(far[0], far[1])
 
 
@@ -128,12 +129,12 @@ def test_rays_are_cut_to_the_box() -> None:
 
 def test_spheres_are_linear_up_to_where_the_ray_leaves_the_inner_one() -> None:
     space = make("spheres", centre_m=(0.0, 0.0, 0.0), half_m=(10.0, 10.0, 10.0))
-    assert space.aim(one_ray([0, 0, -5], [0.0, 0.0, 1.0])).knee_m.item() == pytest.approx(15)
-    assert space.aim(one_ray([0, 6, 0], [0.0, 0.0, 1.0])).knee_m.item() == pytest.approx(8)
+    assert space.aim(one_ray([0, 0, -5], [0.0, 0.0, 1.0])).spacing.knee_m.item() == pytest.approx(15)
+    assert space.aim(one_ray([0, 6, 0], [0.0, 0.0, 1.0])).spacing.knee_m.item() == pytest.approx(8)
     # Parallel to the line from the centre: NeRF++'s rotation formula is 0 / 0 there.
-    assert np.isfinite(space.aim(one_ray([0, 0, 5], [0.0, 0.0, 1.0])).knee_m.item())
+    assert np.isfinite(space.aim(one_ray([0, 0, 5], [0.0, 0.0, 1.0])).spacing.knee_m.item())
     # Outside and past it: no exit, a small knee.
-    assert space.aim(one_ray([0, 40, 0], [0.0, 0.0, 1.0])).knee_m.item() == pytest.approx(5)
+    assert space.aim(one_ray([0, 40, 0], [0.0, 0.0, 1.0])).spacing.knee_m.item() == pytest.approx(5)
 
 
 @given(

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from nerf import kernels
-from nerf.types import Gradients, GridConfig, Layers
+from nerf.types import Gradients, GridConfig, Layers, Target
 from tests.test_nerf_render import make
 
 pytestmark = pytest.mark.skipif(find_spec("triton") is None, reason="no triton: pip install 'roadprior[dev]'")
@@ -87,7 +87,7 @@ def test_the_field_compiles(made: list[tuple[str, Any]]) -> None:
     from nerf.kernels.triton import field
 
     config = GridConfig(levels=16, log2_size=10, tables=2)
-    m = field.BLOCK
+    m = field.SAMPLES_MULTIPLE
     u, table, footprint = torch.rand(m, 3), torch.zeros(m, dtype=torch.int32), torch.rand(m)
     features = field.encode(u, table, footprint, torch.zeros(2, config.rows, 2).bfloat16(), config)
     field.spread(u, table, footprint, features, config, torch.zeros(2, config.rows, 2))
@@ -127,9 +127,9 @@ def test_the_renderer_compiles(made: list[tuple[str, Any]]) -> None:
     samples, sigma, rgb, sky, rays = make([3, 0, 5])
     rendered = render.forward(samples, sigma, rgb, sky)
     render.backward(samples, sigma, rgb, sky, rendered, Gradients.zeros(rendered))
-    prior = (rays.norms, rays.norms, rays.norms, rays.norms, sigma)
-    render.kl(samples, sigma, *prior)
-    render.sight(samples, sigma, *prior)
+    target = Target(rays.norms, rays.norms, rays.norms)
+    render.kl(samples, sigma, target, rays.norms, sigma)
+    render.sight(samples, sigma, target, rays.norms, sigma)
     render.distortion(samples, sigma, rays.norms, sigma)
     render.interlevel(samples, sigma, samples, sigma, rays.norms)
     assert {name for name, _ in made} == {"forward", "backward", "kl", "sight", "distortion", "interlevel"}

@@ -6,17 +6,6 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST_PARAMETERS = 6
-NOT_YET: set[str] = {
-    "nerf/report.py: report",
-    "nerf/sample.py: guided",
-    "nerf/sample.py: resample",
-    "nerf/scene.py: _copy_maps",
-    "nerf/scene.py: _prepare_prior",
-    "nerf/scene.py: open_scene",
-    "nerf/twin/sample.py: pack",
-    "nerf/twin/sample.py: resample",
-}
-"""Functions that still have more; none may be added."""
 
 
 def sources() -> list[Path]:
@@ -36,8 +25,7 @@ def functions(path: Path) -> Iterator[tuple[str, int]]:
 
 def test_no_function_has_more_parameters_than_one_remembers() -> None:
     many = {name for path in sources() for name, count in functions(path) if count > MOST_PARAMETERS}
-    assert not many - NOT_YET, f"more than {MOST_PARAMETERS} parameters: make some of them one thing"
-    assert not NOT_YET - many, "these have fewer by now: take them off the list"
+    assert not many, f"more than {MOST_PARAMETERS} parameters: make some of them one thing"
 
 
 def test_settings_are_found_by_their_names() -> None:

@@ -5,11 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from nerf.fit import FitConfig, fit
+from nerf.config import FitConfig, ModelConfig
+from nerf.fit import fit
 from nerf.losses import LossConfig
-from nerf.model import ModelConfig
-from nerf.scene import open_scene
-from nerf.view import renderer
+from nerf.prepare import SceneConfig, open_scene
 from priors import build
 from priors.drives import open_drive
 from priors.filters import Filters
@@ -31,9 +30,9 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_short_fit_reaches_its_quality(street: Path) -> None:
     drive, filters = open_drive(street / "street"), Filters(sky="mask")
     prior = build.prepare(drive, Stereo(), filters, street / "cache").run().prior
-    scene = open_scene(drive, prior, "sparse", list(range(FRAMES)), street / "scenes")
+    scene = open_scene(drive, prior, SceneConfig("sparse"), street / "scenes")
     config = FitConfig(ModelConfig(width=WIDTH), LossConfig(loss="mse"), rays=RAYS, steps=STEPS)
-    render = renderer(fit(scene, config, street / "run"))
+    render = fit(scene, config, street / "run").render
     psnr, abs_rel = [], []
     for position in scene.test:
         made = render(scene.T_world_cam[position], scene.camera)

@@ -19,15 +19,14 @@ from nerf.kernels.plain import render as plain_render
 from nerf.kernels.triton import field as triton_field
 from nerf.kernels.triton import render as triton_render
 from nerf.losses import LossConfig, losses
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.optimise import Optimiser, OptimiserConfig
-from nerf.sample import guided, march
+from nerf.sample import Sampler, SamplerConfig
 from nerf.sky import Sky, SkyConfig
 from nerf.space import Space
 from nerf.twin import field as twin_field
 from nerf.twin import render as twin_render
-from nerf.twin import sample as twin_sample
-from nerf.types import Gradients, GridConfig, Layers, Rays, Rendered, Samples
+from nerf.types import Gradients, GridConfig, Histogram, Layers, Rays, Rendered, Samples, Target
 from tests.reference.triton_halves import mend
 from tests.test_nerf_render import FIELDS, make
 
@@ -43,6 +42,8 @@ def moved(value: Any, device: torch.device | str = DEVICE) -> Any:
     """Bring tensors, or dataclasses of tensors, to the device."""
     if isinstance(value, Tensor):
         return value.to(device)
+    if isinstance(value, Target):
+        return Target(*(x.to(device) for x in value))
     if isinstance(value, (Samples, Rays, Gradients)):
         return type(value)(**{name: moved(getattr(value, name), device) for name in value.__dataclass_fields__})
     return value
@@ -62,7 +63,7 @@ def near(ours: Tensor, theirs: Tensor, share: float) -> None:
 def asked(request: pytest.FixtureRequest) -> tuple[Tensor, Tensor, Tensor | None, GridConfig]:
     """Places, with the grid's corners among them; tables; footprints; a grid with dense and hashed levels."""
     tables, cones, levels = request.param
-    m = 2 * triton_field.BLOCK
+    m = 2 * triton_field.SAMPLES_MULTIPLE
     u = torch.rand(m, 3, generator=torch.Generator().manual_seed(1))
     u[0], u[1], u[2] = 0, 1, torch.tensor([0.5, 1.0, 0.0])
     table = (torch.arange(m) % tables).to(torch.int32)
@@ -95,7 +96,7 @@ def network(request: pytest.FixtureRequest) -> tuple[Tensor, Tensor, Tensor, Lay
     levels, neurons = request.param
     shapes = [(neurons, 2 * levels), (16, neurons), (neurons, 32), (neurons, neurons), (3, neurons)]
     layers = Layers(*(moved(drawn(*shape, seed=i) * (2 / shape[1]) ** 0.5) for i, shape in enumerate(shapes)))
-    m = 2 * triton_field.BLOCK
+    m = 2 * triton_field.SAMPLES_MULTIPLE
     features, ray = drawn(levels, m, 2).bfloat16(), torch.randint(-1, 9, (m,), dtype=torch.int32)
     features[:, 7] = 30.0  # beyond the density's limit, or far below
     return moved(features), moved(drawn(9, 16)), moved(ray), layers
@@ -185,12 +186,12 @@ def test_losses(counts: list[int], kind: str) -> None:
     assert rays.depth_m is not None
     weights = twin_render.render(samples, sigma, torch.zeros(len(sigma), 3), torch.zeros(len(counts), 3)).weights
     scale = torch.rand(len(counts), generator=torch.Generator().manual_seed(4))
-    priors = (rays.norms, rays.depth_m, 0.05 * rays.depth_m + 0.1)
-    given = {"kl": (sigma, *priors), "sight": (weights, *priors), "distortion": (weights,)}[kind]
+    target = Target(rays.norms, rays.depth_m, 0.05 * rays.depth_m + 0.1)
+    value, aims = {"kl": (sigma, [target]), "sight": (weights, [target]), "distortion": (weights, [])}[kind]
     ours, theirs = torch.ones_like(sigma), torch.ones_like(sigma).double()  # gradients are added
-    ours = moved(ours)
-    found = getattr(triton_render, kind)(moved(samples), *(moved(x) for x in given), moved(scale), ours)
-    expected = getattr(plain_render, kind)(samples, *(x.double() for x in given), scale.double(), theirs)
+    ours, wide = moved(ours), [Target(*(x.double() for x in aim)) for aim in aims]
+    found = getattr(triton_render, kind)(moved(samples), moved(value), *map(moved, aims), moved(scale), ours)
+    expected = getattr(plain_render, kind)(samples, value.double(), *wide, scale.double(), theirs)
     torch.testing.assert_close(found.cpu(), expected.float(), atol=1e-5, rtol=1e-4)
     torch.testing.assert_close(ours.cpu(), theirs.float(), atol=2e-5, rtol=1e-3)
 
@@ -213,7 +214,7 @@ def test_extreme_densities_stay_finite(value: float) -> None:
     sigma = torch.full_like(sigma, value)
     made = triton_render.forward(samples, sigma, rgb, sky)
     gradients, scale = Gradients.zeros(made), torch.ones_like(rays.norms)
-    found = triton_render.kl(samples, sigma, rays.norms, rays.depth_m, 0.1 * rays.norms, scale, gradients.tau)
+    found = triton_render.kl(samples, sigma, Target(rays.norms, rays.depth_m, 0.1 * rays.norms), scale, gradients.tau)
     gradients.rgb.fill_(1)
     back = triton_render.backward(samples, sigma, rgb, sky, made, gradients)
     assert all(torch.isfinite(x).all() for x in (found, made.rgb, made.depth_m, made.weights, *back))
@@ -241,14 +242,14 @@ def trained(device: torch.device, kernels: Kernels) -> tuple[dict[str, Tensor], 
     made = torch.Generator().manual_seed(2)
     samples.u.copy_(torch.rand(samples.u.shape, generator=made))
     samples, rays = (x if device.type == "cpu" else moved(x) for x in (samples, rays))
-    config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), NetworkConfig(width=16))
+    config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), MLPConfig(width=16))
     field, sky = Field(config, device, 3, kernels.field), Sky(SkyConfig(sizes=(4, 8)), device)
     parameters = {f"field.{k}": v for k, v in field.parameters().items()} | {"sky.texels": sky.texels}
-    optimiser = Optimiser(OptimiserConfig(warm_up=0), parameters, {"field.grid": field.copies()["grid"]}, kernels.field)
+    optimiser = Optimiser(parameters, {"field.grid": field.copies()["grid"]}, kernels.field)
     with Placed() as placed:
         for _ in range(2):
             forth_and_back(field, sky, samples, rays, kernels.render)
-            optimiser.step(0.5)
+            optimiser.step(OptimiserConfig(warm_up=0), 0.5)
     return {name: tensor.cpu() for name, tensor in parameters.items()}, placed.lost
 
 
@@ -278,21 +279,21 @@ def untrained(name: str, like: Tensor) -> Tensor:
     """Return the parameters before the first step."""
     if name == "sky.texels":
         return torch.zeros_like(like)
-    config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), NetworkConfig(width=16))
+    config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), MLPConfig(width=16))
     return Field(config, "cpu", seed=3).parameters()[name.removeprefix("field.")]
 
 
 @pytest.mark.parametrize("kind", ["box", "ball", "spheres"])
 def test_samplers_say_where_their_tensors_are(kind: Any) -> None:
-    """Rays in float64 take the path of devices without compiled samplers."""
+    """The plain samplers serve GPUs."""
     rays = make([1] * 6)[-1]
     wide = Rays(rays.origins_m.double(), rays.directions.double(), None, rays.depth_m.double())
     space = Space(kind, (0.0, 0.0, 10.0), (20.0, 5.0, 40.0), 0.5, 80.0)
     with Placed() as placed:
-        samples = [march(wide, space, key=(0, 1)), guided(wide, space, key=(0, 1))]
-        histogram = [x[: samples[0].used] for x in (samples[0].s0, samples[0].s1, samples[0].dt_m)]
+        sampler = Sampler(space, kernels=plain_kernels().sample)
+        samples = [sampler.march(wide, 64, (0, 1)), sampler.guided(wide, SamplerConfig(), (0, 1))]
         targets = torch.linspace(0, 1, 5, device=wide.directions.device).expand(len(wide), 5)
-        twin_sample.resample(samples[0].offsets, *histogram, targets, 0.01, 1.0)
+        plain_kernels().sample.resample(Histogram(samples[0], samples[0].dt_m, 0.01), targets)
     assert placed.lost == []
     assert all(made.used > 0 for made in samples)
 

@@ -1,34 +1,34 @@
-"""The study's three families of fields, one file each: what differs is the space, the samplers and the extra losses."""
+"""Families of fields, one file each, and the folder is the registry: a new file is a new choice of --field.
 
-from dataclasses import dataclass
+A family's file holds FAMILY, a nerf.model.Family. The study's three differ in the space, the samplers and the extra
+losses (nerf.volumetric.VolumetricFamily). Your own files: priors/extensions.py.
+"""
+
 from importlib import import_module
 
-from nerf.space import Kind
+from nerf.model import Family
 from priors import extensions
+from priors.errors import DataError
 
 __path__.extend(extensions.folders("fields"))
 
 
-@dataclass(frozen=True)
-class Family:
-    """What makes a family; everything else is shared."""
-
-    space: Kind
-    """How the world is folded into the grid."""
-    proposals: tuple[int, ...] = ()
-    """Candidates per ray of each proposal round before the field's own samples; none: the occupancy grid alone."""
-    anti_aliased: bool = False
-    """Ask the grid for a sample's extent, not for a point: levels finer than a pixel's cone fade."""
-    distortion: float = 1.0
-    """How much more the distortion loss weighs than usual."""
-
-
 def names() -> list[str]:
-    """List the families."""
+    """List the families, without importing them."""
     return extensions.names(__path__)
 
 
 def family(name: str) -> Family:
-    """Return a family by its file's name."""
-    found: Family = import_module(f"{__name__}.{name}").FAMILY
-    return found
+    """Return a family by its file's name.
+
+    Raises:
+        DataError: there is none of this name, or the file has no FAMILY.
+    """
+    if name not in names():
+        yours = f"or name the folder of your own by {extensions.VARIABLE}"
+        raise DataError(f"unknown field {name!r}: choose one of {', '.join(names())}, {yours}")
+    module = import_module(f"{__name__}.{name}")
+    if not hasattr(module, "FAMILY"):
+        raise DataError(f"{module.__file__}: a field family's file needs FAMILY: see docs/architecture.md")
+    chosen: Family = module.FAMILY
+    return chosen

@@ -4,6 +4,6 @@ The contraction to a ball of radius 2, a proposal network trained by the interle
 samples with an extent (levels of the grid fade where the pixel's cone is wider than their cells).
 """
 
-from nerf.fields import Family
+from nerf.volumetric import VolumetricFamily
 
-FAMILY = Family(space="ball", proposals=(48,), anti_aliased=True, distortion=10.0)
+FAMILY = VolumetricFamily(space="ball", proposals=(48,), anti_aliased=True, distortion=10.0)

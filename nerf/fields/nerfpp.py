@@ -4,6 +4,6 @@ Depth is the study's composite: the inner volume's expected depth plus what its 
 One ray's samples run through both, near to far, so that one compositing does it.
 """
 
-from nerf.fields import Family
+from nerf.volumetric import VolumetricFamily
 
-FAMILY = Family(space="spheres")
+FAMILY = VolumetricFamily(space="spheres")

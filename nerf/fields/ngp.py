@@ -1,5 +1,5 @@
 """Instant-NGP (Müller et al., SIGGRAPH 2022): a hash grid in a box, marched through its occupancy grid."""
 
-from nerf.fields import Family
+from nerf.volumetric import VolumetricFamily
 
-FAMILY = Family(space="box")
+FAMILY = VolumetricFamily(space="box")

@@ -14,16 +14,19 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from nerf.types import Course, Gradients, GridConfig, Layers, Rendered, Samples
+from nerf.types import Course, Gradients, GridConfig, Histogram, Layers, Rendered, Samples, Target
 
 
 class FieldKernels(Protocol):
-    """The functions of the field: a hash grid, two small networks, and their optimiser. m is a multiple of BLOCK."""
+    """The functions of the field: a hash grid, two small networks, and their optimiser.
+
+    The number of samples m is a multiple of SAMPLES_MULTIPLE.
+    """
 
     STORAGE: torch.dtype
     """The type in which the grid's weights are read."""
-    BLOCK: int
-    """The numbers of samples that the functions take are multiples of this."""
+    SAMPLES_MULTIPLE: int
+    """How many samples the kernels take at a time."""
 
     def encode(self, u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: GridConfig) -> Tensor:
         """Return features (levels, m, 2) of places u (m, 3)."""
@@ -82,28 +85,10 @@ class RenderKernels(Protocol):
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Return the loss's derivatives by sigma (m,), rgb (m, 3) and sky (r, 3)."""
 
-    def kl(
-        self,
-        samples: Samples,
-        sigma: Tensor,
-        norms: Tensor,
-        prior_m: Tensor,
-        deviation_m: Tensor,
-        scale: Tensor,
-        d_tau: Tensor,
-    ) -> Tensor:
+    def kl(self, samples: Samples, sigma: Tensor, target: Target, scale: Tensor, d_tau: Tensor) -> Tensor:
         """Return the KL loss (r,), add its gradient to d_tau (m,)."""
 
-    def sight(
-        self,
-        samples: Samples,
-        weights: Tensor,
-        norms: Tensor,
-        prior_m: Tensor,
-        deviation_m: Tensor,
-        scale: Tensor,
-        d_weights: Tensor,
-    ) -> Tensor:
+    def sight(self, samples: Samples, weights: Tensor, target: Target, scale: Tensor, d_weights: Tensor) -> Tensor:
         """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
 
     def distortion(self, samples: Samples, weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:
@@ -121,8 +106,8 @@ class SampleKernels(Protocol):
     def pick(self, course: Course, kept: Tensor | None, resolution: int) -> Samples:
         """Return the candidates whose middle lies in a kept cell (flat uint8 grid; None: all), padded."""
 
-    def resample(self, samples: Samples, weights: Tensor, targets: Tensor, margin: float, anneal: float) -> Tensor:
-        """Return the ends (2, r, n) in s of n intervals of even mass under the weights (m,): nerf.twin.sample.resample.
+    def resample(self, histogram: Histogram, targets: Tensor) -> Tensor:
+        """Return the ends (2, r, n) in s of n intervals of even mass under a histogram: nerf.twin.sample.resample.
 
         targets: (r, n + 1) places of the ends in the cumulated mass, ascending in [0, 1].
         """

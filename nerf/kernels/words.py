@@ -1,4 +1,4 @@
-"""What a kernel takes: flat memory. Pairs of bfloat16 are read as 32-bit words: their strides would be overlooked."""
+"""Flat memory is what a kernel takes. Pairs of bfloat16 are read as 32-bit words: their strides would be overlooked."""
 
 import torch
 from torch import Tensor
@@ -10,8 +10,8 @@ def words(pairs: Tensor) -> Tensor:
     Raises ValueError for other numbers and for pairs that are not contiguous: a kernel would read the wrong ones.
     """
     if pairs.dtype != torch.bfloat16 or pairs.shape[-1] != 2 or not pairs.is_contiguous():
-        found = f"{pairs.dtype} of shape {tuple(pairs.shape)} and strides {pairs.stride()}"
-        raise ValueError(f"expected contiguous pairs of bfloat16, found {found}")
+        other = f"{pairs.dtype} of shape {tuple(pairs.shape)} and strides {pairs.stride()}"
+        raise ValueError(f"expected contiguous pairs of bfloat16, found {other}")
     return pairs.view(torch.int32).squeeze(-1)
 
 

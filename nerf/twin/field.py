@@ -12,25 +12,25 @@ LOGIT_MAX = 12.0
 
 
 class _Rounded(torch.autograd.Function):
-    """Round a value to bfloat16, or its gradient, or both."""
+    """Round a value to bfloat16, its gradient, or both: `kind` is "value", "gradient" or "both"."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, value: bool, gradient: bool) -> Tensor:
-        ctx.gradient = gradient
-        return x.bfloat16().to(x.dtype) if value else x.clone()
+    def forward(ctx: Any, x: Tensor, kind: str) -> Tensor:
+        ctx.rounds = kind != "value"
+        return x.clone() if kind == "gradient" else x.bfloat16().to(x.dtype)
 
     @staticmethod
-    def backward(ctx: Any, d_x: Tensor) -> tuple[Tensor, None, None]:
-        return d_x.bfloat16().to(d_x.dtype) if ctx.gradient else d_x, None, None
+    def backward(ctx: Any, d_x: Tensor) -> tuple[Tensor, None]:
+        return d_x.bfloat16().to(d_x.dtype) if ctx.rounds else d_x, None
 
 
-def _cut(x: Tensor, half: bool, value: bool = True, gradient: bool = True) -> Tensor:
+def _round(x: Tensor, half: bool, kind: str = "both") -> Tensor:
     """Round where the bfloat16 kernels do, if they are to be followed."""
-    return _Rounded.apply(x, value, gradient) if half else x
+    return _Rounded.apply(x, kind) if half else x
 
 
 def _product(x: Tensor, weights: Tensor, half: bool) -> Tensor:
-    return x @ _cut(weights, half, gradient=False).T
+    return x @ _round(weights, half, "value").T
 
 
 def density(features: Tensor, layers: Layers, initial: float, half: bool = False) -> tuple[Tensor, Tensor]:
@@ -39,9 +39,9 @@ def density(features: Tensor, layers: Layers, initial: float, half: bool = False
     sigma = initial * exp(min(logit, 12)); the gradient passes the limit ("truncated exponential", as Instant-NGP).
     `half` rounds where the bfloat16 kernels do.
     """
-    x = _cut(features.permute(1, 0, 2).flatten(1), half)
-    x = _cut(torch.relu(_product(x, layers.density0, half)), half)
-    geometry = _cut(_product(x, layers.density1, half), half, value=False)
+    x = _round(features.permute(1, 0, 2).flatten(1), half)
+    x = _round(torch.relu(_product(x, layers.density0, half)), half)
+    geometry = _round(_product(x, layers.density1, half), half, "gradient")
     logit = geometry[:, 0]
     limited = logit + (logit.clamp(max=LOGIT_MAX) - logit).detach()
     return initial * torch.exp(limited), geometry
@@ -55,8 +55,8 @@ def shade(
     The colour sees the harmonics of its ray's direction and all 16 outputs of the first network.
     """
     sigma, geometry = density(features, layers, initial, half)
-    seen = _cut(harmonics, half)[ray.long().clamp(min=0)]
-    x = torch.cat([seen, _cut(geometry, half, gradient=False)], dim=1)
-    x = _cut(torch.relu(_product(x, layers.colour0, half)), half)
-    x = _cut(torch.relu(_product(x, layers.colour1, half)), half)
-    return sigma, torch.sigmoid(_cut(_product(x, layers.colour2, half), half, value=False))
+    basis = _round(harmonics, half)[ray.long().clamp(min=0)]
+    x = torch.cat([basis, _round(geometry, half, "value")], dim=1)
+    x = _round(torch.relu(_product(x, layers.colour0, half)), half)
+    x = _round(torch.relu(_product(x, layers.colour1, half)), half)
+    return sigma, torch.sigmoid(_round(_product(x, layers.colour2, half), half, "gradient"))

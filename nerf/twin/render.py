@@ -14,6 +14,7 @@ from nerf.types import (
     SIGHT_DEVIATIONS,
     Rendered,
     Samples,
+    Target,
 )
 
 
@@ -51,8 +52,9 @@ def render(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendere
     return Rendered(colour, depth_m, median_m, transmittance, gather(samples, weights))
 
 
-def masses(samples: Samples, norms: Tensor, prior_m: Tensor, deviation_m: Tensor) -> Tensor:
+def masses(samples: Samples, target: Target) -> Tensor:
     """Return the mass of N(prior, deviation) in each sample's interval: (r, s)."""
+    norms, prior_m, deviation_m = target
     half = spread(samples, samples.dt_m.to(prior_m)) / (2 * norms[:, None])
     t = spread(samples, samples.t.to(prior_m))
     low, high = (t - half - prior_m[:, None]), (t + half - prior_m[:, None])
@@ -60,31 +62,31 @@ def masses(samples: Samples, norms: Tensor, prior_m: Tensor, deviation_m: Tensor
     return 0.5 * (torch.erf(high * root) - torch.erf(low * root))
 
 
-def kl(samples: Samples, sigma: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor) -> Tensor:
+def kl(samples: Samples, sigma: Tensor, target: Target) -> Tensor:
     """Return the KL loss (r,)."""
-    return kl_of_tau(samples, sigma * samples.dt_m.to(sigma), norms, prior_m, deviation_m)
+    return kl_of_tau(samples, sigma * samples.dt_m.to(sigma), target)
 
 
-def kl_of_tau(samples: Samples, tau: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor) -> Tensor:
+def kl_of_tau(samples: Samples, tau: Tensor, target: Target) -> Tensor:
     """Return the KL loss (r,) from optical depths (m,)."""
     tau = spread(samples, tau)
-    mass = masses(samples, norms, prior_m, deviation_m)
+    mass = masses(samples, target)
     total = mass.sum(1, keepdim=True)
-    usable = (total[:, 0] >= LEAST_MASS) & (prior_m > 0)
+    usable = (total[:, 0] >= LEAST_MASS) & (target.prior_m > 0)
     q = mass / torch.where(usable[:, None], total, 1.0)
     log_w = torch.log((-torch.expm1(-tau)).clamp(min=LEAST_OPACITY)) - (torch.cumsum(tau, 1) - tau)
     return torch.where(usable, -(q * log_w).sum(1), 0.0)
 
 
-def sight(samples: Samples, weights: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor) -> Tensor:
+def sight(samples: Samples, weights: Tensor, target: Target) -> Tensor:
     """Return URF's line-of-sight loss (r,)."""
     w = spread(samples, weights)
     t = spread(samples, samples.t.to(weights))
-    reach = SIGHT_DEVIATIONS * deviation_m[:, None]
-    near = (t - prior_m[:, None]).abs() <= reach
-    target = torch.where(near, masses(samples, norms, prior_m, deviation_m), 0.0)
-    counts = t <= prior_m[:, None] + reach
-    return torch.where(prior_m > 0, (counts * (w - target) ** 2).sum(1), 0.0)
+    reach = SIGHT_DEVIATIONS * target.deviation_m[:, None]
+    near = (t - target.prior_m[:, None]).abs() <= reach
+    mass = torch.where(near, masses(samples, target), 0.0)
+    counts = t <= target.prior_m[:, None] + reach
+    return torch.where(target.prior_m > 0, (counts * (w - mass) ** 2).sum(1), 0.0)
 
 
 def distortion(samples: Samples, weights: Tensor) -> Tensor:

@@ -6,8 +6,8 @@ What the kernels must equal bit for bit in float32; runs on any device.
 import torch
 from torch import Tensor
 
-from nerf.twin.space import ramp, unramp, warp
-from nerf.types import Course, Samples
+from nerf.twin.space import depth, spacing, warp
+from nerf.types import Course, Histogram, Samples, Spacing
 
 
 def cells(u: Tensor, table: Tensor, resolution: int) -> Tensor:
@@ -25,14 +25,10 @@ def pick(course: Course, kept: Tensor | None, resolution: int) -> Samples:
     chosen = t1 > t0
     if kept is not None:
         chosen &= kept[cells(u, table, resolution)] > 0
-    return pack(chosen, t, (t1 - t0) * course.norms[:, None], s0, s1, u, table)
-
-
-def pack(chosen: Tensor, t: Tensor, dt_m: Tensor, s0: Tensor, s1: Tensor, u: Tensor, table: Tensor) -> Samples:
-    """Pack the chosen ones of (r, n) candidates ray by ray."""
     counts = chosen.sum(dim=1)
     offsets = torch.cat([counts.new_zeros(1), torch.cumsum(counts, 0)])
     ray = torch.nonzero(chosen)[:, 0].to(torch.int32)
+    dt_m = (t1 - t0) * course.norms[:, None]
     t, dt_m, s0, s1, u, table = (x[chosen] for x in (t, dt_m, s0, s1, u, table))
     return Samples(offsets, ray, t, dt_m, s0, s1, u, table, len(ray))
 
@@ -40,18 +36,16 @@ def pack(chosen: Tensor, t: Tensor, dt_m: Tensor, s0: Tensor, s1: Tensor, u: Ten
 def _edges(course: Course) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Return s and depth of each candidate's two ends, (r, slots); empty ones have equal ends."""
     slot = torch.arange(course.slots, device=course.start.device)[None]
-    count, knee = course.count[:, None], course.knee_m[:, None]
-    low, span, shift = course.low[:, None], course.span[:, None], course.shift[:, None]
-    near, far = course.near_m, course.far_m
+    knee_m, low, span, near_m, far_m = course.spacing
+    ramps = Spacing(knee_m[:, None], low[:, None], span[:, None], near_m, far_m)
     if course.ends is not None:
         s0, s1 = course.ends
-        t0 = torch.clamp(unramp(low + s0 * span, knee), near, far)
-        return s0, s1, t0, torch.clamp(unramp(low + s1 * span, knee), near, far)
+        return s0, s1, depth(s0, ramps), depth(s1, ramps)
+    count, shift = course.count[:, None], course.shift[:, None]
     start, length = course.start[:, None], (course.stop - course.start)[:, None]
     share0, share1 = _shares(slot, shift, count)
     s0, s1 = start + share0 * length, start + share1 * length
-    t0 = torch.clamp(unramp(low + s0 * span, knee), near, far)
-    t1 = torch.clamp(unramp(low + s1 * span, knee), near, far)
+    t0, t1 = depth(s0, ramps), depth(s1, ramps)
     # The band follows the stretch's count + 1 candidates.
     step = slot - count - 1
     begin, width = course.band0_m[:, None], (course.band1_m - course.band0_m)[:, None]
@@ -60,8 +54,7 @@ def _edges(course: Course) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     in_band = (step >= 0) & (step <= course.band_count) & (width > 0)
     in_stretch = (step < 0) & (length > 0)
     t0, t1 = torch.where(in_band, b0, t0), torch.where(in_band, b1, t1)
-    s0 = torch.where(in_band, _spacing(b0, knee, low, span), s0)
-    s1 = torch.where(in_band, _spacing(b1, knee, low, span), s1)
+    s0, s1 = torch.where(in_band, spacing(b0, ramps), s0), torch.where(in_band, spacing(b1, ramps), s1)
     return s0, s1, t0, torch.where(in_band | in_stretch, t1, t0)
 
 
@@ -72,25 +65,19 @@ def _shares(index: Tensor, shift: Tensor, count: Tensor) -> tuple[Tensor, Tensor
     return torch.clamp(begin / whole, 0, 1), torch.clamp(end / whole, 0, 1)
 
 
-def _spacing(t: Tensor, knee: Tensor, low: Tensor, span: Tensor) -> Tensor:
-    return torch.clamp((ramp(t, knee) - low) / span, 0, 1)
-
-
-def resample(
-    offsets: Tensor, s0: Tensor, s1: Tensor, weights: Tensor, targets: Tensor, margin: float, anneal: float
-) -> tuple[Tensor, Tensor]:
+def resample(histogram: Histogram, targets: Tensor) -> tuple[Tensor, Tensor]:
     """Return the ends (r, n), float32, of n intervals of even mass under each ray's histogram; computed in float64.
 
-    The histogram's bins [s0, s1] (packed, ascending, gaps allowed) are widened by `margin`, where bins overlap the
+    The histogram's bins [s0, s1] (packed, ascending, gaps allowed) are widened by its margin, where bins overlap the
     larger density counts, and the masses between their edges are raised to `anneal` (MipNeRF-360, appendix C).
     `targets` (r, n + 1) are the ends' places in the cumulated mass. No interval reaches across a gap: it stays within
     the connected bins that hold its middle. A ray without mass is sampled evenly in its bins; one without bins gets
     empty intervals.
     """
-    s0, s1, weights, targets = s0.double(), s1.double(), weights.double(), targets.double()
-    edges, mass, gap = _dilated(offsets, s0, s1, weights, margin)
+    targets, offsets = targets.double(), histogram.samples.offsets
+    edges, mass, gap = _widened(histogram)
     width = edges.diff(dim=1) * ~gap
-    mass = torch.where(mass > 0, torch.clamp(mass, min=1e-30) ** anneal, 0.0)
+    mass = torch.where(mass > 0, torch.clamp(mass, min=1e-30) ** histogram.anneal, 0.0)
     mass = torch.where(mass.sum(dim=1, keepdim=True) > 0, mass, width)
     cumulated = torch.cumsum(torch.cat([torch.zeros_like(mass[:, :1]), mass], 1), 1)
     cumulated = cumulated / torch.clamp(cumulated[:, -1:], min=1e-30)
@@ -105,8 +92,11 @@ def resample(
     return (begin * some).float(), (torch.maximum(begin, end) * some).float()
 
 
-def _dilated(offsets: Tensor, s0: Tensor, s1: Tensor, weights: Tensor, margin: float) -> tuple[Tensor, Tensor, Tensor]:
+def _widened(histogram: Histogram) -> tuple[Tensor, Tensor, Tensor]:
     """Widen the bins: edges (r, 2b), and of the spaces between them mass and whether no bin covers them (r, 2b - 1)."""
+    samples, margin = histogram.samples, histogram.margin
+    packed = (samples.s0, samples.s1, histogram.weights)
+    offsets, (s0, s1, weights) = samples.offsets, (x[: samples.used].double() for x in packed)
     counts = offsets[1:] - offsets[:-1]
     most = max(int(counts.max()) if len(counts) else 0, 1)
     step = torch.arange(most, device=s0.device)
@@ -125,8 +115,8 @@ def _dilated(offsets: Tensor, s0: Tensor, s1: Tensor, weights: Tensor, margin: f
 
 def _invert(cumulated: Tensor, edges: Tensor, targets: Tensor) -> tuple[Tensor, Tensor]:
     """Return where the cumulated mass reaches the targets, and in which space."""
-    found = torch.searchsorted(cumulated, targets.contiguous(), right=True) - 1
-    space = torch.clamp(found, 0, cumulated.shape[1] - 2)
+    after_target = torch.searchsorted(cumulated, targets.contiguous(), right=True)
+    space = torch.clamp(after_target - 1, 0, cumulated.shape[1] - 2)
     before, after = cumulated.gather(1, space), cumulated.gather(1, space + 1)
     share = torch.clamp((targets - before) / torch.clamp(after - before, min=1e-30), 0, 1)
     begin, end = edges.gather(1, space), edges.gather(1, space + 1)

@@ -1,4 +1,4 @@
-"""Where points and depths lie in a space, in plain torch: what the kernels must equal. Any dtype, any device.
+"""Scene contraction and ray spacing in plain torch: what the kernels must equal. Any dtype, any device.
 
 `place` is a point in the space's own axes, divided by its half extents: the inner region is |place| <= 1. Sums and
 products are spelt out in the kernels' order, so that float32 gives the same bits.
@@ -7,7 +7,8 @@ products are spelt out in the kernels' order, so that float32 gives the same bit
 import torch
 from torch import Tensor
 
-BOX, BALL, SPHERES = 0, 1, 2
+from nerf.types import BALL, BOX, Spacing
+
 _LARGEST = 1e15
 """Beyond it only the direction of a place counts: its square must not overflow float32."""
 
@@ -59,6 +60,16 @@ def ramp(t: Tensor, knee: Tensor) -> Tensor:
 def unramp(g: Tensor, knee: Tensor) -> Tensor:
     """Undo `ramp`."""
     return torch.where(g < 0.5, 2 * knee * g, knee / (2 * (1 - torch.clamp(g, min=0.5))))
+
+
+def spacing(t: Tensor, ramps: Spacing) -> Tensor:
+    """Map camera-z depths t, metres, to s in [0, 1]: linear up to the knee, then linear in 1/t."""
+    return torch.clamp((ramp(t, ramps.knee_m) - ramps.low) / ramps.span, 0, 1)
+
+
+def depth(s: Tensor, ramps: Spacing) -> Tensor:
+    """Map s in [0, 1] to camera-z depths, metres: `spacing` undone."""
+    return torch.clamp(unramp(ramps.low + s * ramps.span, ramps.knee_m), ramps.near_m, ramps.far_m)
 
 
 def exits(origin: Tensor, direction: Tensor) -> Tensor:

@@ -161,7 +161,7 @@ class Mono(Method):
         """Return what the network gives: metric-depth, relative-depth or disparity."""
         if self._foreign is None:
             return "metric-depth"
-        from priors.methods._mono_foreign import describe
+        from priors.methods._mono_description import describe
 
         return describe(self._foreign).output
 

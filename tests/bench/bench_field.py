@@ -22,7 +22,7 @@ from torch import Tensor
 
 from nerf.field import Field, FieldConfig
 from nerf.harmonics import harmonics
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
@@ -70,15 +70,15 @@ def main() -> None:
     samples, units = ray_samples(args.samples)
     generator = torch.Generator().manual_seed(1)
     d_sigma, d_rgb = torch.randn(args.samples, generator=generator), torch.randn(args.samples, 3, generator=generator)
-    config = FieldConfig(network=NetworkConfig(width=args.width))
+    config = FieldConfig(mlp=MLPConfig(width=args.width))
 
     field = Field(config)
-    optimiser = Optimiser(OptimiserConfig(), field.parameters(), field.copies())
+    optimiser = Optimiser(field.parameters(), field.copies())
 
     def ours() -> None:
         field.forward(samples, units)
         field.backward(d_sigma, d_rgb)
-        optimiser.step(0.5)
+        optimiser.step(OptimiserConfig(), 0.5)
 
     twin = Field(config)
     leaves = {name: tensor.requires_grad_() for name, tensor in twin.parameters().items()}
@@ -87,7 +87,7 @@ def main() -> None:
     def plain() -> None:
         features = twin_encode.encode(samples.u, samples.table, None, leaves["grid"], config.grid)
         layers = twin_field.Layers(*(tensor for name, tensor in leaves.items() if name != "grid"))
-        outputs = twin_field.shade(features, harmonics(units), samples.ray, layers, config.network.initial_density)
+        outputs = twin_field.shade(features, harmonics(units), samples.ray, layers, config.mlp.initial_density)
         adam.zero_grad()
         torch.autograd.backward(outputs, (d_sigma, d_rgb))
         adam.step()
@@ -127,7 +127,7 @@ def parts(
     field: Field, optimiser: Optimiser, samples: Samples, units: Tensor, d_sigma: Tensor, d_rgb: Tensor
 ) -> dict[str, float]:
     """Print what each part takes and its share of a limit measured on this machine; return the networks' share."""
-    grid, network, basis, count = field.grid, field.network, harmonics(units), len(samples.u)
+    grid, network, basis, count = field.grid, field.mlp, harmonics(units), len(samples.u)
     near = Field(FieldConfig(GridConfig(log2_size=8))).grid
     features = grid.encode(samples.u, samples.table)
     d_features = network.shade_backward(features, basis, samples.ray, d_sigma, d_rgb)
@@ -154,7 +154,7 @@ def parts(
         ),
         ("networks", lambda: network.shade(*shade), layers / flops, peak),
         ("networks, back", lambda: network.shade_backward(*shade, d_sigma, d_rgb), 3 * layers / flops, peak),
-        ("Adam", lambda: optimiser.step(0.5), traffic / bandwidth, stream),
+        ("Adam", lambda: optimiser.step(OptimiserConfig(), 0.5), traffic / bandwidth, stream),
     ]
     total, found = 0.0, {}
     for name, function, limit, what in rows:

@@ -15,10 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from nerf import checkpoint
-from nerf.fit import FitConfig, Status, fit
+from nerf.config import FitConfig
+from nerf.fit import Status, fit
 from nerf.losses import LossConfig
-from nerf.scene import Scene, open_scene
-from nerf.view import renderer
+from nerf.prepare import SceneConfig, open_scene
+from nerf.scene import Scene
 from priors import build
 from priors.drives import open_drive
 from priors.filters import Filters
@@ -41,14 +42,13 @@ def main() -> None:
     drive = open_drive(options.folder / "street")
     filters = Filters(sky="mask")
     prior = build.prepare(drive, Stereo(), filters, options.folder / "cache").run().prior
-    positions = list(range(len(drive)))
-    warm = open_scene(drive, prior, "sparse", positions, options.folder / "scenes")
+    warm = open_scene(drive, prior, SceneConfig("sparse"), options.folder / "scenes")
     with tempfile.TemporaryDirectory() as runs:
         fit(warm, FitConfig(steps=5), Path(runs) / "warm")  # compiles
         print(f"{'':24}" + "".join(f"{time:>18g} s" for time in options.times))
         for views in ("dense", "sparse"):
             for made in (None, prior):
-                scene = open_scene(drive, made, views, positions, options.folder / "scenes")
+                scene = open_scene(drive, made, SceneConfig(views), options.folder / "scenes")
                 name = f"{views} {'colours alone' if made is None else 'stereo prior'}"
                 figures = curve(scene, drive, Path(runs) / name.replace(" ", "-"), options.times)
                 print(
@@ -75,7 +75,7 @@ def curve(scene: Scene, drive: Drive, run: Path, times: list[float]) -> list[tup
 
 def score(scene: Scene, drive: Drive, run: Path) -> tuple[float, float]:
     """Render the held-out views; the truth is the street's exact depth up to 80 m."""
-    render = renderer(checkpoint.open_model(run))
+    render = checkpoint.open_model(run).render
     psnr, abs_rel = [], []
     for position in scene.test:
         view = render(scene.T_world_cam[position], scene.camera)

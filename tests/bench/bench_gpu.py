@@ -17,7 +17,7 @@ from torch import Tensor
 from nerf.field import Field, FieldConfig
 from nerf.harmonics import harmonics
 from nerf.kernels import Kernels, kernels_for, plain_kernels
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.optimise import Optimiser, OptimiserConfig
 from nerf.types import Gradients, GridConfig, Samples
 
@@ -42,7 +42,7 @@ class Step:
         gradients.rgb.copy_(rendered.rgb - 0.5)
         d_sigma, d_rgb, _ = self.kernels.render.backward(self.samples, sigma, rgb, self.sky, rendered, gradients)
         self.field.backward(d_sigma, d_rgb)
-        self.optimiser.step(0.5)
+        self.optimiser.step(OptimiserConfig(), 0.5)
 
 
 def prepare(device: torch.device, count: int, config: FieldConfig, kernels: Kernels) -> Step:
@@ -65,7 +65,7 @@ def prepare(device: torch.device, count: int, config: FieldConfig, kernels: Kern
         used=count,
     )
     field = Field(config, device, kernels=kernels.field)
-    optimiser = Optimiser(OptimiserConfig(), field.parameters(), field.copies(), kernels.field)
+    optimiser = Optimiser(field.parameters(), field.copies(), kernels.field)
     return Step(field, optimiser, samples, units.to(device), torch.full((rays, 3), 0.5, device=device), kernels)
 
 
@@ -73,7 +73,7 @@ def parts(step: Step) -> dict[str, Callable[[], Any]]:
     """Return the stages of a step, each to be called alone."""
     field, samples = step.field, step.samples
     fast, painter = step.kernels.field, step.kernels.render
-    grid, layers, config = field.grid, field.network.layers, field.config.grid
+    grid, layers, config = field.grid, field.mlp.layers, field.config.grid
     weights = grid.weights.to(fast.STORAGE)
     basis = harmonics(step.units)
     features = fast.encode(samples.u, samples.table, None, weights, config)
@@ -88,7 +88,7 @@ def parts(step: Step) -> dict[str, Callable[[], Any]]:
         "render backward": lambda: painter.backward(samples, sigma, rgb, step.sky, made, gradients),
         "shade backward": lambda: fast.shade_backward(features, basis, samples.ray, layers, 0.02, sigma, rgb),
         "spread": lambda: fast.spread(samples.u, samples.table, None, features, config, spread),
-        "update": lambda: step.optimiser.step(0.5),
+        "update": lambda: step.optimiser.step(OptimiserConfig(), 0.5),
     }
 
 
@@ -162,7 +162,7 @@ def main() -> None:
     parser.add_argument("--device", default="cuda")
     options = parser.parse_args()
     device, count = torch.device(options.device), options.samples // 2048 * 2048
-    config = FieldConfig(GridConfig(log2_size=options.log2_size), NetworkConfig(width=options.width))
+    config = FieldConfig(GridConfig(log2_size=options.log2_size), MLPConfig(width=options.width))
     name = torch.cuda.get_device_name(device) if device.type == "cuda" else f"CPU {platform.machine()}"
     print(f"{name}; torch {torch.__version__}; {count} samples, {config.grid.rows} rows, {options.width} neurons")
     print(f"{kernels_for(device).field.__name__}; forward + backward + update; the twin does the same samples")

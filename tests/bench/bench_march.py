@@ -10,12 +10,12 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from nerf import sample
-from nerf.kernels import plain_kernels
+from nerf.kernels import Kernels, cpu_kernels, plain_kernels
 from nerf.occupancy import Occupancy
+from nerf.sample import Sampler, SamplerConfig
 from nerf.scene import Scene
 from nerf.space import Space
-from nerf.types import Rays
+from nerf.types import Histogram, Rays, Samples
 from priors.geometry import rays as pixel_rays
 from priors.types import Camera
 
@@ -48,20 +48,6 @@ def median_ms(run: Callable[[], object], other: Callable[[], object]) -> tuple[f
     return statistics.median(times[0]), statistics.median(times[1])
 
 
-def plain(run: Callable[[], object]) -> Callable[[], object]:
-    """Run with the plain twin instead of the kernels."""
-
-    def instead() -> object:
-        fastest = sample.kernels_for
-        sample.kernels_for = lambda device: plain_kernels()
-        try:
-            return run()
-        finally:
-            sample.kernels_for = fastest
-
-    return instead
-
-
 def main() -> None:
     scene = corridor()
     space = Space.around(scene.T_world_cam[:, :3, 3], scene.points_m(), "ball")
@@ -72,19 +58,25 @@ def main() -> None:
         f"carve {FRAMES} views of 320x96: {time.perf_counter() - start:.2f} s, {100 * grid.share:.1f} % of cells kept"
     )
     batch: Rays = scene.draw(RAYS, 0, 0)
-    first = sample.march(batch, space, grid, count=64, key=(0, 0))
-    weights = torch.rand(len(first.t))
-    runs = {
-        "march 64, grid": (64, lambda: sample.march(batch, space, grid, count=64, key=(0, 0))),
-        "march 256, grid": (256, lambda: sample.march(batch, space, grid, count=256, key=(0, 0))),
-        "march 64, no grid": (64, lambda: sample.march(batch, space, count=64, key=(0, 0))),
-        "guided 32": (32, lambda: sample.guided(batch, space, grid, count=32, key=(0, 0))),
-        "resample 32 of 64": (32, lambda: sample.resample(batch, space, first, weights, count=32, key=(0, 0))),
-    }
+    key = (0, 0)
+    first = Sampler(space, grid).march(batch, 64, key)
+    histogram = Histogram(first, torch.rand(len(first.t)))
+
+    def runs(kernels: Kernels) -> dict[str, tuple[int, Callable[[], Samples]]]:
+        sampler, blind = Sampler(space, grid, kernels.sample), Sampler(space, None, kernels.sample)
+        return {
+            "march 64, grid": (64, lambda: sampler.march(batch, 64, key)),
+            "march 256, grid": (256, lambda: sampler.march(batch, 256, key)),
+            "march 64, no grid": (64, lambda: blind.march(batch, 64, key)),
+            "guided 32": (32, lambda: sampler.guided(batch, SamplerConfig(count=32), key)),
+            "resample 32 of 64": (32, lambda: blind.resample(batch, histogram, 32, key)),
+        }
+
     print(f"{RAYS} rays, {torch.get_num_threads()} threads; ms compiled, ms plain, ratio, M candidates/s, samples/ray")
-    for name, (candidates, run) in runs.items():
+    slow_runs = runs(plain_kernels())
+    for name, (candidates, run) in runs(cpu_kernels()).items():
         used = run().used
-        fast, slow = median_ms(run, plain(run))
+        fast, slow = median_ms(run, slow_runs[name][1])
         rate = RAYS * candidates / fast / 1e3
         print(f"{name:20s} {fast:7.2f} {slow:8.2f} {slow / fast:6.1f}x {rate:8.1f} {used / RAYS:7.1f}")
     sigma = torch.rand(len(first.t))

@@ -91,9 +91,9 @@ def link(home: Path, count: int, size: tuple[int, int]) -> None:
 
 def measure(home: Path, count: int, steps: int) -> dict[str, object]:
     """Prepare, fit, render; return the peak so far (GiB) and the seconds of each, and the size of what is mapped."""
-    from nerf.fit import FitConfig, fit
-    from nerf.scene import open_scene
-    from nerf.view import renderer
+    from nerf.config import FitConfig
+    from nerf.fit import fit
+    from nerf.prepare import SceneConfig, open_scene
     from priors import cache
     from priors.drives import open_drive
 
@@ -107,11 +107,11 @@ def measure(home: Path, count: int, steps: int) -> dict[str, object]:
 
     run = home / f"run{count}"
     drive = open_drive(home / f"drive{count}")
-    scene = open_scene(drive, cache.only(home / "cache" / drive.name), "dense", list(range(count)), run / "scenes")
+    scene = open_scene(drive, cache.only(home / "cache" / drive.name), SceneConfig(), run / "scenes")
     note("preparing")
     model = fit(scene, FitConfig(steps=steps, seconds=None), run / "fit")
     note("fitting")
-    renderer(model)(scene.T_world_cam[scene.test[0]], scene.camera)
+    model.render(scene.T_world_cam[scene.test[0]], scene.camera)
     note("render")
     row["files"] = sum(path.stat().st_size for path in (run / "scenes").rglob("*.npy")) / 2**30
     return row

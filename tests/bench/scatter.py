@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patheffects import withStroke
 from matplotlib.text import Annotation
 from matplotlib.transforms import Bbox
 
@@ -23,8 +22,8 @@ PLACES = tuple(
     for step in steps
 )
 """Where a name may stand: its baseline above its dot, points, and on which side; the first free place is taken."""
-
 BESIDE_PX = 25
+"""Dots nearer in time than this are one above the other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,7 +91,7 @@ def _label(axes: Axes, dots: Sequence[Dot]) -> None:
 
 
 def _write(axes: Axes, dot: Dot, step_pt: float, right: bool) -> Annotation:
-    """Write a dot's name so many points above it, to its right or left; a white rim keeps it apart from lines."""
+    """Write a dot's name so many points above it, to its right or left; white behind it keeps it apart from lines."""
     place = {"xytext": (8 if right else -8, step_pt), "textcoords": "offset points", "ha": "left" if right else "right"}
-    rim = [withStroke(linewidth=2.5, foreground="white")]
-    return axes.annotate(dot.label, (dot.milliseconds, dot.error), fontsize=8, path_effects=rim, **place)
+    paper = {"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.5}
+    return axes.annotate(dot.label, (dot.milliseconds, dot.error), fontsize=8, bbox=paper, **place)

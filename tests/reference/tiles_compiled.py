@@ -18,12 +18,12 @@ from nerf.kernels.cpu import perceptron  # noqa: E402
 
 words, numbers = np.zeros(512, np.int32), np.zeros(256, np.float32)
 net = perceptron.Net(4, *[words] * 5)
-asked = perceptron.Asked(words.reshape(8, 64), words, words)
+inputs = perceptron.Inputs(words.reshape(8, 64), words, words)
 total = perceptron.Totals(*[numbers] * 5)
 ends = 0, 64
 calls = {
-    "forward": (net, asked, 0.02, numbers, numbers, *ends),
-    "backward": (net, net, asked, 0.02, numbers, numbers, words.reshape(8, 64), total, *ends),
+    "forward": (net, inputs, 0.02, numbers, numbers, *ends),
+    "backward": (net, net, inputs, 0.02, numbers, numbers, words.reshape(8, 64), total, *ends),
 }
 for name, arguments in calls.items():
     function = getattr(perceptron, name)

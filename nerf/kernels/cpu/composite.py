@@ -1,4 +1,4 @@
-"""Compiled volume rendering, near to far and back, of rays first_ray to last_ray. Equals nerf/twin/render.py."""
+"""Volume rendering, compiled: near to far and back, of rays first_ray to last_ray. Equals nerf/twin/render.py."""
 
 import math
 
@@ -80,16 +80,16 @@ def distortion(offsets, weights, s0, s1, scale, loss, d_weights, first_ray, last
         for i in range(offsets[ray], offsets[ray + 1]):
             total += weights[i]
             moment += weights[i] * 0.5 * (s0[i] + s1[i])
-        before, before_moment, found = 0.0, 0.0, 0.0
+        before, before_moment, value = 0.0, 0.0, 0.0
         for i in range(offsets[ray], offsets[ray + 1]):
             w, middle, width = float(weights[i]), 0.5 * (float(s0[i]) + s1[i]), float(s1[i]) - s0[i]
             after, after_moment = total - before - w, moment - before_moment - w * middle
             apart = middle * (before - after) - before_moment + after_moment
-            found += w * apart + w * w * width / 3.0
+            value += w * apart + w * w * width / 3.0
             d_weights[i] += scale[ray] * (2.0 * apart + 2.0 * w * width / 3.0)
             before += w
             before_moment += w * middle
-        loss[ray] += found
+        loss[ray] += value
 
 
 @compiled(inline="always")
@@ -115,14 +115,14 @@ def kl(  # type: ignore[no-untyped-def]
             total += _mass(t[i] - half, t[i] + half, depth_m[ray], deviation_m[ray])
         if total < LEAST_MASS:
             continue
-        optical, found = 0.0, 0.0
+        optical, value = 0.0, 0.0
         for i in range(first, last):
             half = 0.5 * dt_m[i] / norms[ray]
             q = _mass(t[i] - half, t[i] + half, depth_m[ray], deviation_m[ray]) / total
             tau = float(sigma[i]) * dt_m[i]
-            found -= q * (np.log(max(-np.expm1(-tau), LEAST_OPACITY)) - optical)
+            value -= q * (np.log(max(-np.expm1(-tau), LEAST_OPACITY)) - optical)
             optical += tau
-        loss[ray] = found
+        loss[ray] = value
         behind = 0.0
         for k in range(last - 1, first - 1, -1):
             half = 0.5 * dt_m[k] / norms[ray]
@@ -163,7 +163,7 @@ def interlevel(  # type: ignore[no-untyped-def]
     for ray in range(first_ray, last_ray):
         first, last = coarse_offsets[ray], coarse_offsets[ray + 1]
         d_coarse[first:last] = 0.0
-        found, low = 0.0, first
+        value, low = 0.0, first
         for i in range(offsets[ray], offsets[ray + 1]):
             while low < last and coarse_s1[low] <= s0[i]:
                 low += 1
@@ -174,7 +174,7 @@ def interlevel(  # type: ignore[no-untyped-def]
             over = weights[i] - bound
             if over > 0.0:
                 share = over / (weights[i] + INTERLEVEL_SOFT)
-                found += over * share
+                value += over * share
                 for j in range(low, high):
                     d_coarse[j] -= scale[ray] * 2.0 * share
-        loss[ray] = found
+        loss[ray] = value

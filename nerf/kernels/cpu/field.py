@@ -16,7 +16,7 @@ from nerf.types import GridConfig, Layers
 from priors.machine import threads
 
 STORAGE = torch.bfloat16
-BLOCK = 64
+SAMPLES_MULTIPLE = 64
 _NONE = np.zeros(0, dtype=np.float32)
 
 
@@ -95,8 +95,12 @@ def _forward(
 
     count = features.shape[1]
     sigma, rgb = torch.empty(count), torch.empty(0 if ray is None else count, 3)
-    net, asked, outputs = _net(layers), _asked(features, harmonics, ray), (sigma.numpy(), rgb.numpy().reshape(-1))
-    threads.over(count, lambda first, last: perceptron.forward(net, asked, initial, *outputs, first, last), BLOCK)
+    net, inputs, outputs = _net(layers), _inputs(features, harmonics, ray), (sigma.numpy(), rgb.numpy().reshape(-1))
+
+    def work(first: int, last: int) -> None:
+        perceptron.forward(net, inputs, initial, *outputs, first, last)
+
+    threads.over(count, work, SAMPLES_MULTIPLE)
     return sigma, rgb
 
 
@@ -114,15 +118,15 @@ def _backward(
     d_features = torch.empty(features.shape, dtype=torch.bfloat16)
     shapes = [_padded_shape(layer) for layer in layers]
     totals = [np.zeros((perceptron.PARTS, rows * columns), np.float32) for rows, columns in shapes]
-    given = d_sigma.contiguous().numpy(), _NONE if d_rgb is None else d_rgb.contiguous().numpy().reshape(-1)
+    d_outputs = d_sigma.contiguous().numpy(), _NONE if d_rgb is None else d_rgb.contiguous().numpy().reshape(-1)
     nets = _net(layers), _net(Layers(*(layer.T for layer in layers)))
-    asked, out, count = _asked(features, harmonics, ray), _words(d_features), features.shape[1]
-    stretch = -(-count // (BLOCK * perceptron.PARTS)) * BLOCK
+    inputs, out, count = _inputs(features, harmonics, ray), _words(d_features), features.shape[1]
+    stretch = -(-count // (SAMPLES_MULTIPLE * perceptron.PARTS)) * SAMPLES_MULTIPLE
 
     def work(part: int) -> None:
         total = perceptron.Totals(*(each[part] for each in totals))
         ends = part * stretch, min(count, (part + 1) * stretch)
-        perceptron.backward(*nets, asked, initial, *given, out, total, *ends)
+        perceptron.backward(*nets, inputs, initial, *d_outputs, out, total, *ends)
 
     threads.run(-(-count // stretch) if count else 0, work)
     gradients = []
@@ -133,13 +137,13 @@ def _backward(
     return d_features, Layers(*gradients)
 
 
-def _asked(features: Tensor, harmonics: Tensor | None, ray: Tensor | None) -> Any:
+def _inputs(features: Tensor, harmonics: Tensor | None, ray: Tensor | None) -> Any:
     from nerf.kernels.cpu import perceptron
 
     if harmonics is None or ray is None:
-        return perceptron.Asked(_words(features), _NONE.view(np.int32), _NONE.view(np.int32))
+        return perceptron.Inputs(_words(features), _NONE.view(np.int32), _NONE.view(np.int32))
     basis = _words(flat(harmonics).view(-1, 2))
-    return perceptron.Asked(_words(features), basis, ray.contiguous().numpy())
+    return perceptron.Inputs(_words(features), basis, ray.contiguous().numpy())
 
 
 def _net(layers: Layers) -> Any:

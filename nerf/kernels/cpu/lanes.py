@@ -1,4 +1,4 @@
-"""Sixteen numbers side by side as values of compiled code: what LLVM's own loop vectoriser will not do for gathers.
+"""SIMD: sixteen numbers side by side as values of compiled code: LLVM's own vectoriser makes no gathers.
 
 `Floats` and `Ints` (16 x float32, 16 x int32) can be added, multiplied and combined bitwise in `@compiled` functions;
 the functions below load, store, gather and convert them. LLVM turns each into one instruction with AVX-512 and into a

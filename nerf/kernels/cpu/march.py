@@ -1,16 +1,62 @@
-"""Compiled samplers and carving: rays in parallel, each alone, so that the number of threads changes nothing.
+"""Ray marching and carving, compiled: each ray alone, so that the number of threads changes nothing.
 
 Bit for bit what nerf/twin/sample.py and nerf/twin/space.py compute in float32: no fast-math here, and every constant is
 a float32, since Python's own numbers would make a double of everything they touch.
 """
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+import numpy.typing as npt
+
+from nerf.types import BOX, SPHERES
 from priors.machine.compiled import compiled
 
-BOX, BALL, SPHERES = 0, 1, 2
 ZERO, HALF, ONE, TWO, QUARTER = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(0.25)
 LARGEST = np.float32(1e15)
+Floats = npt.NDArray[np.float32]
+
+
+class Paths(NamedTuple):
+    """Along what each ray's candidates lie, as nerf.types.Course; (r, 3) or (r,) float32 arrays."""
+
+    origins: Floats
+    directions: Floats
+    norm: Floats
+    knee: Floats
+    low: Floats
+    span: Floats
+    start: Floats
+    stop: Floats
+    band0: Floats
+    band1: Floats
+    shift: Floats
+    candidates: npt.NDArray[np.int32]
+    band_count: int
+    ends: Floats
+    """(2, r, slots); or (2, r, 0): candidates lie in the stretch and the band."""
+    near: np.float32
+    far: np.float32
+    kind: int
+
+
+class Cells(NamedTuple):
+    """An occupancy grid: flat uint8, or empty where every cell is kept; cells along an axis."""
+
+    kept: npt.NDArray[np.uint8]
+    resolution: int
+
+
+class Packed(NamedTuple):
+    """Samples to be filled, as nerf.types.Samples; (m,) arrays, u is (3, m)."""
+
+    ray: npt.NDArray[np.int32]
+    t: Floats
+    dt_m: Floats
+    s0: Floats
+    s1: Floats
+    u: Floats
+    table: npt.NDArray[np.int32]
 
 
 @compiled(error_model="numpy", inline="always")
@@ -52,124 +98,78 @@ def ramp(t, knee):  # type: ignore[no-untyped-def]
 
 
 @compiled(error_model="numpy", inline="always")
-def interval(  # type: ignore[no-untyped-def]
-    slot, knee, low, span, start, stop, count, band0, band1, band_count, shift, near, far
-):
-    """Return the ends of a candidate in s and in depth: twin.sample._edges."""
+def share(index, shift, count):  # type: ignore[no-untyped-def]
+    """Return where candidate `index` of `count` ends, [0, 1]; it begins where the one before ends."""
+    return min(max((np.float32(index) + shift) / np.float32(count), ZERO), ONE)
+
+
+@compiled(error_model="numpy", inline="always")
+def depth(s, ray, paths):  # type: ignore[no-untyped-def]
+    """Map s to a depth: twin.space.depth."""
+    return min(max(unramp(paths.low[ray] + s * paths.span[ray], paths.knee[ray]), paths.near), paths.far)
+
+
+@compiled(error_model="numpy", inline="always")
+def spacing(t, ray, paths):  # type: ignore[no-untyped-def]
+    """Map a depth to s: twin.space.spacing."""
+    return min(max((ramp(t, paths.knee[ray]) - paths.low[ray]) / paths.span[ray], ZERO), ONE)
+
+
+@compiled(error_model="numpy", inline="always")
+def interval(slot, ray, paths):  # type: ignore[no-untyped-def]
+    """Return the ends of a ray's candidate in s and in depth: twin.sample._edges."""
+    if paths.ends.shape[2]:
+        s0, s1 = paths.ends[0, ray, slot], paths.ends[1, ray, slot]
+        return s0, s1, depth(s0, ray, paths), depth(s1, ray, paths)
+    count, shift = paths.candidates[ray], paths.shift[ray]
     step = slot - count - 1
     if step < 0:
-        whole = np.float32(count)
-        share0 = min(max((np.float32(slot - 1) + shift) / whole, ZERO), ONE)
-        share1 = min(max((np.float32(slot) + shift) / whole, ZERO), ONE)
-        s0, s1 = start + share0 * (stop - start), start + share1 * (stop - start)
-        t0 = min(max(unramp(low + s0 * span, knee), near), far)
-        if not stop > start:
-            return s0, s1, t0, t0
-        return s0, s1, t0, min(max(unramp(low + s1 * span, knee), near), far)
-    if step > band_count or not band1 > band0:
-        return ZERO, ZERO, near, near
-    whole = np.float32(band_count)
-    share0 = min(max((np.float32(step - 1) + shift) / whole, ZERO), ONE)
-    share1 = min(max((np.float32(step) + shift) / whole, ZERO), ONE)
-    t0, t1 = band0 + share0 * (band1 - band0), band0 + share1 * (band1 - band0)
-    s0 = min(max((ramp(t0, knee) - low) / span, ZERO), ONE)
-    return s0, min(max((ramp(t1, knee) - low) / span, ZERO), ONE), t0, t1
+        start, length = paths.start[ray], paths.stop[ray] - paths.start[ray]
+        s0, s1 = start + share(slot - 1, shift, count) * length, start + share(slot, shift, count) * length
+        t0 = depth(s0, ray, paths)
+        return s0, s1, t0, depth(s1, ray, paths) if length > ZERO else t0
+    begin, width = paths.band0[ray], paths.band1[ray] - paths.band0[ray]
+    if step > paths.band_count or not width > ZERO:
+        return ZERO, ZERO, paths.near, paths.near
+    t0 = begin + share(step - 1, shift, paths.band_count) * width
+    t1 = begin + share(step, shift, paths.band_count) * width
+    return spacing(t0, ray, paths), spacing(t1, ray, paths), t0, t1
 
 
 @compiled(error_model="numpy")
-def choose(  # type: ignore[no-untyped-def]
-    origins,
-    directions,
-    rays,
-    count,
-    band_count,
-    slots,
-    ends,
-    near,
-    far,
-    kind,
-    kept,
-    resolution,
-    chosen,
-    counts,
-    first_ray,
-    last_ray,
-):
-    """Mark the candidates to keep, chosen (r, slots) uint8, and count them, (r,).
-
-    rays (9, r): norm, knee, low, span, start, stop, band0, band1, shift, see twin.sample.Course; count (r,) int32; ends
-    (2, r, slots) or (2, r, 0); kept: flat uint8 grid, or empty.
-    """
+def choose(paths, cells, chosen, counts, first_ray, last_ray):  # type: ignore[no-untyped-def]
+    """Mark the candidates to keep, chosen (r, slots) uint8, and count them, (r,)."""
     for ray in range(first_ray, last_ray):
-        ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
-        dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-        knee, low, span = rays[1, ray], rays[2, ray], rays[3, ray]
-        start, stop, band0, band1, shift = rays[4, ray], rays[5, ray], rays[6, ray], rays[7, ray], rays[8, ray]
-        own = count[ray]
-        found = 0
-        for slot in range(slots):
-            if ends.shape[2]:
-                t0 = min(max(unramp(low + ends[0, ray, slot] * span, knee), near), far)
-                t1 = min(max(unramp(low + ends[1, ray, slot] * span, knee), near), far)
-            else:
-                _, _, t0, t1 = interval(
-                    slot, knee, low, span, start, stop, own, band0, band1, band_count, shift, near, far
-                )
+        ox, oy, oz = paths.origins[ray, 0], paths.origins[ray, 1], paths.origins[ray, 2]
+        dx, dy, dz = paths.directions[ray, 0], paths.directions[ray, 1], paths.directions[ray, 2]
+        count = 0
+        for slot in range(chosen.shape[1]):
+            _, _, t0, t1 = interval(slot, ray, paths)
             keep = t1 > t0
-            if keep and kept.size:
+            if keep and cells.kept.size:
                 t = (t0 + t1) * HALF
-                u, v, w, table = warp(ox + t * dx, oy + t * dy, oz + t * dz, kind)
-                keep = kept[cell(u, v, w, table, resolution)] > 0
+                u, v, w, table = warp(ox + t * dx, oy + t * dy, oz + t * dz, paths.kind)
+                keep = cells.kept[cell(u, v, w, table, cells.resolution)] > 0
             chosen[ray, slot] = keep
-            found += keep
-        counts[ray] = found
+            count += keep
+        counts[ray] = count
 
 
 @compiled(error_model="numpy")
-def fill(  # type: ignore[no-untyped-def]
-    origins,
-    directions,
-    rays,
-    count,
-    band_count,
-    ends,
-    near,
-    far,
-    kind,
-    chosen,
-    offsets,
-    ray_of,
-    t,
-    dt_m,
-    s0,
-    s1,
-    u,
-    table,
-    first_ray,
-    last_ray,
-):
-    """Write the chosen candidates, packed; u is (3, m)."""
+def fill(paths, chosen, offsets, out, first_ray, last_ray):  # type: ignore[no-untyped-def]
+    """Write the chosen candidates, packed."""
     for ray in range(first_ray, last_ray):
-        ox, oy, oz = origins[ray, 0], origins[ray, 1], origins[ray, 2]
-        dx, dy, dz = directions[ray, 0], directions[ray, 1], directions[ray, 2]
-        norm, knee, low, span = rays[0, ray], rays[1, ray], rays[2, ray], rays[3, ray]
-        start, stop, band0, band1, shift = rays[4, ray], rays[5, ray], rays[6, ray], rays[7, ray], rays[8, ray]
-        own = count[ray]
+        ox, oy, oz = paths.origins[ray, 0], paths.origins[ray, 1], paths.origins[ray, 2]
+        dx, dy, dz = paths.directions[ray, 0], paths.directions[ray, 1], paths.directions[ray, 2]
         at = offsets[ray]
         for slot in range(chosen.shape[1]):
             if not chosen[ray, slot]:
                 continue
-            if ends.shape[2]:
-                a, b = ends[0, ray, slot], ends[1, ray, slot]
-                t0 = min(max(unramp(low + a * span, knee), near), far)
-                t1 = min(max(unramp(low + b * span, knee), near), far)
-            else:
-                a, b, t0, t1 = interval(
-                    slot, knee, low, span, start, stop, own, band0, band1, band_count, shift, near, far
-                )
-            middle = (t0 + t1) * HALF
-            ray_of[at], t[at], dt_m[at], s0[at], s1[at] = ray, middle, (t1 - t0) * norm, a, b
-            u[0, at], u[1, at], u[2, at], table[at] = warp(ox + middle * dx, oy + middle * dy, oz + middle * dz, kind)
+            s0, s1, t0, t1 = interval(slot, ray, paths)
+            t = (t0 + t1) * HALF
+            out.ray[at], out.t[at], out.dt_m[at], out.s0[at], out.s1[at] = ray, t, (t1 - t0) * paths.norm[ray], s0, s1
+            u, v, w, table = warp(ox + t * dx, oy + t * dy, oz + t * dz, paths.kind)
+            out.u[0, at], out.u[1, at], out.u[2, at], out.table[at] = u, v, w, table
             at += 1
 
 

@@ -1,4 +1,4 @@
-"""The field's two networks on CPUs: a chunk of samples goes through all layers in the core's cache.
+"""MLPs on CPUs: a chunk of samples goes through all layers in the core's cache.
 
 Activations are words of two bfloat16, rows 2j and 2j + 1 of 16 samples side by side: (groups of 16 samples, row pairs,
 16). That is what the grid writes and what a tile product reads; products and their sums are float32. The backward
@@ -32,7 +32,7 @@ Words = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.float32]
 Operands = npt.NDArray[np.int32] | npt.NDArray[np.float32]
 """Tiles as the left side of a product: words of two bfloat16, or two float32 for each."""
-GROUPS = 16  # of 16 samples in a chunk; a multiple of 4
+CHUNK_GROUPS = 16  # of 16 samples in a chunk; a multiple of 4
 WORDS = 1 if OPERAND is np.int32 else 2
 """Numbers of an operand for a word."""
 PARTS = 32  # the samples' parts, whose weight gradients are added in order, whoever did them
@@ -62,8 +62,8 @@ class Totals(NamedTuple):
     colour2: Numbers
 
 
-class Asked(NamedTuple):
-    """What a field is asked."""
+class Inputs(NamedTuple):
+    """What a field is inputs."""
 
     features: Words
     """(levels, m) words of two features."""
@@ -202,19 +202,19 @@ def _colours(weights, pairs, hidden, groups, sums, rgb, first):  # type: ignore[
 
 
 @compiled
-def _forward(net, asked, initial, first, groups, work, sigma, rgb, target):  # type: ignore[no-untyped-def]
+def _forward(net, inputs, initial, first, groups, work, sigma, rgb, target):  # type: ignore[no-untyped-def]
     """Take a chunk through both networks; results go to `target` on, activations stay in `work`."""
-    levels, hidden = asked.features.shape[0], 8 * net.tiles  # pairs of inputs
+    levels, hidden = inputs.features.shape[0], 8 * net.tiles  # pairs of inputs
     for group in range(groups):
         for level in range(levels):
-            store(work.x, group * TILE + 16 * level, load_ints(asked.features[level], first + 16 * group))
+            store(work.x, group * TILE + 16 * level, load_ints(inputs.features[level], first + 16 * group))
     _rectified(net.density0, net.tiles, levels, work.x, work.first, groups, work.sums)
     _densities(net.density1, hidden, work.first, work.seen, groups, initial, work.sums, sigma, target)
-    if asked.basis.size:
+    if inputs.basis.size:
         for group in range(groups):
-            row = larger(load_ints(asked.ray, first + 16 * group), ints(0)) << ints(3)
+            row = larger(load_ints(inputs.ray, first + 16 * group), ints(0)) << ints(3)
             for j in range(8):
-                store(work.seen, group * TILE + 16 * j, gather(asked.basis, np.int64(j), row))
+                store(work.seen, group * TILE + 16 * j, gather(inputs.basis, np.int64(j), row))
         _rectified(net.colour0, net.tiles, np.int64(16), work.seen, work.second, groups, work.sums)
         _rectified(net.colour1, net.tiles, hidden, work.second, work.third, groups, work.sums)
         _colours(net.colour2, hidden, work.third, groups, work.sums, rgb, target)
@@ -276,8 +276,8 @@ def _features_back(net, back, work, first, groups, d_features):  # type: ignore[
 @compiled
 def _workspace(tiles):  # type: ignore[no-untyped-def]
     """Return a thread's room for a chunk."""
-    wide = (tiles + 1) // 2 * GROUPS * TILE
-    narrow = GROUPS * TILE
+    wide = (tiles + 1) // 2 * CHUNK_GROUPS * TILE
+    narrow = CHUNK_GROUPS * TILE
     return Work(
         x=_aligned(narrow, np.int32),
         first=_aligned(wide, np.int32),
@@ -295,13 +295,13 @@ def _workspace(tiles):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def forward(net: Net, asked: Asked, initial: float, sigma: Numbers, rgb: Numbers, first: int, last: int) -> None:
+def forward(net: Net, inputs: Inputs, initial: float, sigma: Numbers, rgb: Numbers, first: int, last: int) -> None:
     """Write densities (m,) and, if there is a basis, colours (3 m,) of samples first to last, multiples of 64."""
     begin()
     work = _workspace(net.tiles)
-    for start in range(first, last, 16 * GROUPS):
-        groups = min(GROUPS, (last - start) // 16)
-        _forward(net, asked, initial, start, groups, work, sigma, rgb, start)
+    for start in range(first, last, 16 * CHUNK_GROUPS):
+        groups = min(CHUNK_GROUPS, (last - start) // 16)
+        _forward(net, inputs, initial, start, groups, work, sigma, rgb, start)
     end()
 
 
@@ -309,7 +309,7 @@ def forward(net: Net, asked: Asked, initial: float, sigma: Numbers, rgb: Numbers
 def backward(
     net: Net,
     back: Net,
-    asked: Asked,
+    inputs: Inputs,
     initial: float,
     d_sigma: Numbers,
     d_rgb: Numbers,
@@ -324,13 +324,13 @@ def backward(
     """
     begin()
     work = _workspace(net.tiles)
-    sigma = np.empty(16 * GROUPS, dtype=np.float32)
-    rgb = np.empty(48 * GROUPS, dtype=np.float32)
+    sigma = np.empty(16 * CHUNK_GROUPS, dtype=np.float32)
+    rgb = np.empty(48 * CHUNK_GROUPS, dtype=np.float32)
     depth = (net.tiles + 1) // 2
-    coloured = asked.basis.size > 0
-    for start in range(first, last, 16 * GROUPS):
-        groups = min(GROUPS, (last - start) // 16)
-        _forward(net, asked, initial, start, groups, work, sigma, rgb, np.int64(0))
+    coloured = inputs.basis.size > 0
+    for start in range(first, last, 16 * CHUNK_GROUPS):
+        groups = min(CHUNK_GROUPS, (last - start) // 16)
+        _forward(net, inputs, initial, start, groups, work, sigma, rgb, np.int64(0))
         if coloured:
             work.last[:] = 0
             _colours_back(net, back, work, total, d_rgb, rgb, start, groups)

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nerf.kernels.cpu import composite
-from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples
+from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples, Target
 from priors.machine import threads
 
 
@@ -26,38 +26,28 @@ def backward(
     samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor, rendered: Rendered, gradients: Gradients
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return the derivatives by sigma, rgb and sky."""
-    found = torch.empty_like(sigma), torch.empty_like(rgb), torch.empty_like(sky)
+    d_sigma, d_rgb, d_sky = torch.empty_like(sigma), torch.empty_like(rgb), torch.empty_like(sky)
     arrays = (samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky)
-    made = (rendered.depth_m, rendered.transmittance, rendered.weights)
-    given = (gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau)
-    _run(composite.backward, len(sky), (*arrays, OPACITY_FLOOR, *made, *given), found)
-    found[0][samples.used :] = 0
-    found[1][samples.used :] = 0
-    return found
+    forward_results = (rendered.depth_m, rendered.transmittance, rendered.weights)
+    d_results = (gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau)
+    _run(composite.backward, len(sky), (*arrays, OPACITY_FLOOR, *forward_results, *d_results), (d_sigma, d_rgb, d_sky))
+    d_sigma[samples.used :] = 0
+    d_rgb[samples.used :] = 0
+    return d_sigma, d_rgb, d_sky
 
 
-def kl(
-    samples: Samples, sigma: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor, scale: Tensor, d_tau: Tensor
-) -> Tensor:
+def kl(samples: Samples, sigma: Tensor, target: Target, scale: Tensor, d_tau: Tensor) -> Tensor:
     """Return the KL loss (r,), add its gradient to d_tau (m,)."""
-    loss = torch.empty_like(prior_m)
-    arrays = (samples.offsets, sigma, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale)
+    loss = torch.empty_like(target.prior_m)
+    arrays = (samples.offsets, sigma, samples.dt_m, samples.t, *target, scale)
     _run(composite.kl, len(scale), arrays, (loss, d_tau))
     return loss
 
 
-def sight(
-    samples: Samples,
-    weights: Tensor,
-    norms: Tensor,
-    prior_m: Tensor,
-    deviation_m: Tensor,
-    scale: Tensor,
-    d_weights: Tensor,
-) -> Tensor:
+def sight(samples: Samples, weights: Tensor, target: Target, scale: Tensor, d_weights: Tensor) -> Tensor:
     """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
-    loss = torch.empty_like(prior_m)
-    arrays = (samples.offsets, weights, samples.dt_m, samples.t, norms, prior_m, deviation_m, scale)
+    loss = torch.empty_like(target.prior_m)
+    arrays = (samples.offsets, weights, samples.dt_m, samples.t, *target, scale)
     _run(composite.sight, len(scale), arrays, (loss, d_weights))
     return loss
 
@@ -82,8 +72,8 @@ def interlevel(
     return loss, d_coarse
 
 
-def _run(loop: Any, rays: int, given: tuple[Any, ...], filled: tuple[Tensor, ...]) -> None:
+def _run(loop: Any, rays: int, read: tuple[Any, ...], filled: tuple[Tensor, ...]) -> None:
     """Run a loop over rays; what it reads is made contiguous, what it fills is filled where it lies."""
-    views = [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in given]
+    views = [value.contiguous().numpy() if isinstance(value, Tensor) else value for value in read]
     views += [tensor.numpy() for tensor in filled]
     threads.over(rays, lambda first, last: loop(*views, first, last))

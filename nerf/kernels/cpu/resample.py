@@ -1,4 +1,4 @@
-"""Compiled inverse of a histogram's cumulated mass: nerf/twin/sample.py, resample, in one pass a ray."""
+"""Inverse transform sampling, compiled: nerf/twin/sample.py, resample, in one pass a ray."""
 
 import numpy as np
 

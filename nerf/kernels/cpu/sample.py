@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nerf.kernels.plain import sample as plain
-from nerf.types import Course, Samples, padded_count
+from nerf.types import Course, Histogram, Samples, padded_count
 from priors.machine import threads
 
 
@@ -19,46 +19,64 @@ def pick(course: Course, kept: Tensor | None, resolution: int) -> Samples:
     """
     if course.start.dtype != torch.float32:
         return plain.pick(course, kept, resolution)
-    from nerf.kernels.cpu.march import choose, fill
+    from nerf.kernels.cpu.march import Cells, Packed, choose, fill
 
-    count, rows = len(course.start), (
-        course.norms, course.knee_m, course.low, course.span, course.start,
-        course.stop, course.band0_m, course.band1_m, course.shift,
-    )  # fmt: skip
-    along = torch.stack(rows).numpy()
-    origins, directions, counts = (x.contiguous().numpy() for x in (course.origins, course.directions, course.count))
-    ends = np.empty((2, count, 0), np.float32) if course.ends is None else course.ends.numpy()
-    grid = np.empty(0, np.uint8) if kept is None else kept.numpy()
-    near, far = np.float32(course.near_m), np.float32(course.far_m)
-    chosen, found = np.empty((count, course.slots), np.uint8), np.empty(count, np.int64)
-    given = (origins, directions, along, counts, course.band_count)
-    asked = (*given, course.slots, ends, near, far, course.kind, grid, resolution, chosen, found)
-    threads.over(count, lambda first, last: choose(*asked, first, last))
-    offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(found)])
+    paths, count = _paths(course), len(course.start)
+    cells = Cells(np.empty(0, np.uint8) if kept is None else kept.numpy(), resolution)
+    chosen, counts = np.empty((count, course.slots), np.uint8), np.empty(count, np.int64)
+    threads.over(count, lambda first, last: choose(paths, cells, chosen, counts, first, last))
+    offsets = np.concatenate([np.zeros(1, np.int64), np.cumsum(counts)])
     used = int(offsets[-1])
     m = padded_count(used)
     ray, table, u = np.empty(m, np.int32), np.empty(m, np.int32), np.empty((3, m), np.float32)
     t, dt_m, s0, s1 = (np.empty(m, np.float32) for _ in range(4))
-    packed = (ray, t, dt_m, s0, s1, u, table)
-    wanted = (*given, ends, near, far, course.kind, chosen, offsets, *packed)
-    threads.over(count, lambda first, last: fill(*wanted, first, last))
+    packed = Packed(ray, t, dt_m, s0, s1, u, table)
+    threads.over(count, lambda first, last: fill(paths, chosen, offsets, packed, first, last))
     for array in packed:
         array[..., used:] = -1 if array is ray else 0
     tensor = torch.from_numpy
-    return Samples(
-        tensor(offsets), tensor(ray), tensor(t), tensor(dt_m), tensor(s0), tensor(s1), tensor(u).T, tensor(table), used
+    along = tensor(t), tensor(dt_m), tensor(s0), tensor(s1)
+    return Samples(tensor(offsets), tensor(ray), *along, u=tensor(u).T, table=tensor(table), used=used)
+
+
+def _paths(course: Course) -> Any:
+    """Bring a course to the loops' form."""
+    from nerf.kernels.cpu.march import Paths
+
+    def array(x: Tensor) -> Any:
+        return x.contiguous().numpy()
+
+    spacing = course.spacing
+    return Paths(
+        origins=array(course.origins),
+        directions=array(course.directions),
+        norm=array(course.norms),
+        knee=array(spacing.knee_m),
+        low=array(spacing.low),
+        span=array(spacing.span),
+        start=array(course.start),
+        stop=array(course.stop),
+        band0=array(course.band0_m),
+        band1=array(course.band1_m),
+        shift=array(course.shift),
+        candidates=array(course.count),
+        band_count=course.band_count,
+        ends=np.empty((2, len(course.start), 0), np.float32) if course.ends is None else array(course.ends),
+        near=np.float32(spacing.near_m),
+        far=np.float32(spacing.far_m),
+        kind=course.kind,
     )
 
 
-def resample(samples: Samples, weights: Tensor, targets: Tensor, margin: float, anneal: float) -> Tensor:
-    """Return the ends (2, r, n) in s of n intervals of even mass under the weights (m,)."""
+def resample(histogram: Histogram, targets: Tensor) -> Tensor:
+    """Return the ends (2, r, n) in s of n intervals of even mass under a histogram."""
     from nerf.kernels.cpu.resample import invert
 
-    rays, count = targets.shape[0], targets.shape[1] - 1
+    samples, rays, count = histogram.samples, targets.shape[0], targets.shape[1] - 1
     ends = np.empty((2, rays, count), np.float32)
-    histogram = samples.offsets, samples.s0[: samples.used], samples.s1[: samples.used], weights[: samples.used]
-    given = (*(x.contiguous().numpy() for x in histogram), targets.numpy(), margin, anneal, ends)
-    threads.over(rays, lambda first, last: invert(*given, first, last))
+    packed = (x[: samples.used].contiguous().numpy() for x in (samples.s0, samples.s1, histogram.weights))
+    read = (samples.offsets.numpy(), *packed, targets.numpy(), histogram.margin, histogram.anneal)
+    threads.over(rays, lambda first, last: invert(*read, ends, first, last))
     return torch.from_numpy(ends)
 
 

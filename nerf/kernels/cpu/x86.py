@@ -1,4 +1,4 @@
-"""What x86 CPUs have that LLVM has no general name for: AMX's matrix tiles, and AVX-512's dot product of bfloat16.
+"""x86 intrinsics without a general name in LLVM: AMX's matrix tiles, and AVX-512's dot product of bfloat16.
 
 A product of tiles adds C (16 x 16 float32) += A (16 x 32 bfloat16) B (32 x 16 bfloat16), where a row of B holds two
 rows of the matrix side by side: word (k, n) is (b[2k, n], b[2k + 1, n]). There are eight tile registers, 0 to 7, of 16

@@ -9,7 +9,7 @@ from nerf.twin import field as twin_field
 from nerf.types import GridConfig, Layers
 
 STORAGE = torch.float32
-BLOCK = 1
+SAMPLES_MULTIPLE = 1
 
 
 def encode(u: Tensor, table: Tensor, footprint: Tensor | None, weights: Tensor, config: GridConfig) -> Tensor:

@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from nerf.twin import render as twin
-from nerf.types import Gradients, Rendered, Samples
+from nerf.types import Gradients, Rendered, Samples, Target
 
 
 def forward(samples: Samples, sigma: Tensor, rgb: Tensor, sky: Tensor) -> Rendered:
@@ -22,30 +22,20 @@ def backward(
         inputs = [x.detach().requires_grad_() for x in (sigma, rgb, sky)]
         again = twin.render(samples, *inputs)
         outputs = (again.rgb, again.depth_m, again.transmittance, again.weights, inputs[0] * samples.dt_m)
-        given = (gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau)
-        found = torch.autograd.grad(outputs, inputs, given)
-    return found[0], found[1], found[2]
+        d_outputs = (gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau)
+        d_sigma, d_rgb, d_sky = torch.autograd.grad(outputs, inputs, d_outputs)
+    return d_sigma, d_rgb, d_sky
 
 
-def kl(
-    samples: Samples, sigma: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor, scale: Tensor, d_tau: Tensor
-) -> Tensor:
+def kl(samples: Samples, sigma: Tensor, target: Target, scale: Tensor, d_tau: Tensor) -> Tensor:
     """Return the KL loss (r,), add its gradient to d_tau (m,)."""
     tau = sigma * samples.dt_m
-    return _differentiate(lambda x: twin.kl_of_tau(samples, x, norms, prior_m, deviation_m), tau, scale, d_tau)
+    return _differentiate(lambda x: twin.kl_of_tau(samples, x, target), tau, scale, d_tau)
 
 
-def sight(
-    samples: Samples,
-    weights: Tensor,
-    norms: Tensor,
-    prior_m: Tensor,
-    deviation_m: Tensor,
-    scale: Tensor,
-    d_weights: Tensor,
-) -> Tensor:
+def sight(samples: Samples, weights: Tensor, target: Target, scale: Tensor, d_weights: Tensor) -> Tensor:
     """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
-    return _differentiate(lambda x: twin.sight(samples, x, norms, prior_m, deviation_m), weights, scale, d_weights)
+    return _differentiate(lambda x: twin.sight(samples, x, target), weights, scale, d_weights)
 
 
 def distortion(samples: Samples, weights: Tensor, scale: Tensor, d_weights: Tensor) -> Tensor:
@@ -65,6 +55,6 @@ def interlevel(
 def _differentiate(loss: Callable[[Tensor], Tensor], at: Tensor, scale: Tensor, gradient: Tensor) -> Tensor:
     with torch.enable_grad():
         inputs = at.detach().requires_grad_()
-        found = loss(inputs)
-        gradient.add_(torch.autograd.grad((found * scale).sum(), inputs)[0])
-    return found.detach()
+        value = loss(inputs)
+        gradient.add_(torch.autograd.grad((value * scale).sum(), inputs)[0])
+    return value.detach()

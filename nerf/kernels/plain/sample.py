@@ -4,7 +4,7 @@ import torch
 from torch import Tensor
 
 from nerf.twin import sample as twin
-from nerf.types import Course, Samples, padded_count
+from nerf.types import Course, Histogram, Samples, padded_count
 
 
 def pick(course: Course, kept: Tensor | None, resolution: int) -> Samples:
@@ -12,10 +12,9 @@ def pick(course: Course, kept: Tensor | None, resolution: int) -> Samples:
     return _padded(twin.pick(course, kept, resolution))
 
 
-def resample(samples: Samples, weights: Tensor, targets: Tensor, margin: float, anneal: float) -> Tensor:
-    """Return the ends (2, r, n) in s of n intervals of even mass under the weights (m,)."""
-    s0, s1, mass = (x[: samples.used] for x in (samples.s0, samples.s1, weights))
-    return torch.stack(twin.resample(samples.offsets, s0, s1, mass, targets, margin, anneal))
+def resample(histogram: Histogram, targets: Tensor) -> Tensor:
+    """Return the ends (2, r, n) in s of n intervals of even mass under a histogram."""
+    return torch.stack(twin.resample(histogram, targets))
 
 
 def _padded(samples: Samples) -> Samples:

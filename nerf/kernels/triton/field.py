@@ -17,7 +17,7 @@ from nerf.twin.adam import BETA_MEAN, BETA_SQUARE
 from nerf.types import GridConfig, Layers
 
 STORAGE = torch.bfloat16
-BLOCK = 256
+SAMPLES_MULTIPLE = 256
 _FUSED = 64
 """Neurons up to which both networks are one kernel; wider ones do not fit a processor's registers and shared memory."""
 _NUMBERS = 1024
@@ -82,9 +82,9 @@ def _launch(  # type: ignore[no-untyped-def]
     kernel, u: Tensor, table: Tensor, footprint: Tensor | None, source: Tensor, target: Tensor, config: GridConfig
 ) -> None:
     """Run a kernel of the grid over all samples and levels."""
-    kernel[len(u) // BLOCK, config.levels](
+    kernel[len(u) // SAMPLES_MULTIPLE, config.levels](
         u.T.contiguous(), table, u if footprint is None else footprint, source, _shapes(config, u.device), target,
-        len(u), config.rows, TABLES=config.tables, FOOTPRINT=footprint is not None, BLOCK=BLOCK,
+        len(u), config.rows, TABLES=config.tables, FOOTPRINT=footprint is not None, BLOCK=SAMPLES_MULTIPLE,
     )  # fmt: skip
 
 

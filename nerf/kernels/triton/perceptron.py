@@ -1,4 +1,4 @@
-"""Both small networks in one kernel each way: bfloat16 products, float32 sums, nothing between layers leaves the chip.
+"""MLPs on GPUs: one kernel each way, bfloat16 products, float32 sums, nothing between layers leaves the chip.
 
 A program keeps the weights and walks over tiles of samples. The way back computes the hidden layers again and keeps the
 weights' gradients in registers; each program writes its own sums, so that the total does not depend on timing.

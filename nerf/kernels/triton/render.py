@@ -1,9 +1,10 @@
 """The renderer on GPUs: tensors to the Triton kernels and back; nothing waits for the device."""
 
+import torch
 from torch import Tensor
 
 from nerf.kernels.triton import composite
-from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples
+from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples, Target
 
 _RAYS = 32
 """Rays a program: one a thread of its one warp."""
@@ -24,36 +25,24 @@ def backward(
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Return the derivatives by sigma, rgb and sky."""
     d_sigma, d_rgb, d_sky = sigma.new_zeros(sigma.shape), rgb.new_zeros(rgb.shape), sky.new_empty(sky.shape)
-    made = [rendered.depth_m, rendered.transmittance, rendered.weights]
-    given = [gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau]
-    inputs = [samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky, *made, *given]
+    forward_results = [rendered.depth_m, rendered.transmittance, rendered.weights]
+    d_results = [gradients.rgb, gradients.depth_m, gradients.transmittance, gradients.weights, gradients.tau]
+    inputs = [samples.offsets, sigma, rgb, samples.t, samples.dt_m, sky, *forward_results, *d_results]
     _launch(composite.backward, inputs, [d_sigma, d_rgb, d_sky], FLOOR=OPACITY_FLOOR)
     return d_sigma, d_rgb, d_sky
 
 
-def kl(
-    samples: Samples, sigma: Tensor, norms: Tensor, prior_m: Tensor, deviation_m: Tensor, scale: Tensor, d_tau: Tensor
-) -> Tensor:
+def kl(samples: Samples, sigma: Tensor, target: Target, scale: Tensor, d_tau: Tensor) -> Tensor:
     """Return the KL loss (r,), add its gradient to d_tau (m,)."""
-    loss = prior_m.new_empty(prior_m.shape)
-    rays = [norms, prior_m, deviation_m, scale]
-    _launch(composite.kl, [samples.offsets, sigma, samples.dt_m, samples.t, *rays], [loss, d_tau])
+    loss = torch.empty_like(target.prior_m)
+    _launch(composite.kl, [samples.offsets, sigma, samples.dt_m, samples.t, *target, scale], [loss, d_tau])
     return loss
 
 
-def sight(
-    samples: Samples,
-    weights: Tensor,
-    norms: Tensor,
-    prior_m: Tensor,
-    deviation_m: Tensor,
-    scale: Tensor,
-    d_weights: Tensor,
-) -> Tensor:
+def sight(samples: Samples, weights: Tensor, target: Target, scale: Tensor, d_weights: Tensor) -> Tensor:
     """Return URF's line-of-sight loss (r,), add its gradient to d_weights (m,)."""
-    loss = prior_m.new_empty(prior_m.shape)
-    rays = [norms, prior_m, deviation_m, scale]
-    _launch(composite.sight, [samples.offsets, weights, samples.dt_m, samples.t, *rays], [loss, d_weights])
+    loss = torch.empty_like(target.prior_m)
+    _launch(composite.sight, [samples.offsets, weights, samples.dt_m, samples.t, *target, scale], [loss, d_weights])
     return loss
 
 

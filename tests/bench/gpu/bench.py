@@ -5,7 +5,7 @@ from argparse import Namespace
 import torch
 
 from nerf.field import FieldConfig
-from nerf.mlp import NetworkConfig
+from nerf.mlp import MLPConfig
 from nerf.types import GridConfig
 from tests.bench.bench_gpu import measure
 from tests.bench.gpu.parts import note
@@ -21,7 +21,7 @@ def run(options: Namespace) -> None:
     if small:
         note(left_out=f"2^18 samples and the CUDA graph: {count} samples on the CPU's kernels")
     for log2_size, width in SETTINGS:
-        config = FieldConfig(GridConfig(log2_size=14 if small else log2_size), NetworkConfig(width=width))
+        config = FieldConfig(GridConfig(log2_size=14 if small else log2_size), MLPConfig(width=width))
         name = f"2^{config.grid.log2_size} rows, {width} neurons"
         found: dict[str, float] = {}
         for figures in measure(device, count, config, rounds, repeats):

@@ -13,12 +13,12 @@ import torch
 from eval.image import ImageScore
 from eval.protocol import preset
 from eval.result import Comparison, score_frame
-from nerf.fit import FitConfig, Status, fit
+from nerf.config import FitConfig
+from nerf.fit import Status, fit
 from nerf.losses import LossConfig
 from nerf.model import Model
-from nerf.pictures import RenderedView
 from nerf.scene import Scene
-from nerf.view import renderer
+from nerf.types import RenderedView
 from priors import codecs
 from tests.bench.gpu.pack import open_pack, truth_path
 from tests.bench.gpu.parts import note
@@ -111,7 +111,7 @@ def _one(scene: Scene, asked: Asked, run: Path, options: Namespace) -> None:
 
 def score(scene: Scene, model: Model, pack: Path, out: Path) -> dict[str, float]:
     """Return the held-out views' mean PSNR, dB, SSIM and AbsRel; keep the middle view's picture."""
-    render, rules = renderer(model), replace(preset("paper"), truth="lidar")
+    render, rules = model.render, replace(preset("paper"), truth="lidar")
     psnr, ssim, abs_rel = [], [], []
     for position in scene.test:
         view, image = render(scene.T_world_cam[position], scene.camera), np.asarray(scene.images[position])

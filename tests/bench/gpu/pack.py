@@ -53,12 +53,12 @@ def make_pack(data: Path, pack: Path) -> int:
 
 def open_pack(pack: Path, scenes: Path) -> "Scene":
     """Open the packed drive with its prior as a scene, sparse views; its arrays go into the folder `scenes`."""
-    from nerf.scene import open_scene
+    from nerf.prepare import SceneConfig, open_scene
 
     if not (pack / "pack.json").exists():
         raise SystemExit(f"{pack}: no pack here: make it where the data is (make gpu, or --make-pack)")
     drive = open_drive(pack / "drive")
-    return open_scene(drive, cache.only(pack / "prior"), "sparse", list(range(len(drive))), scenes)
+    return open_scene(drive, cache.only(pack / "prior"), SceneConfig("sparse"), scenes)
 
 
 def truth_path(pack: Path, frame_id: str) -> Path:

@@ -1,0 +1,59 @@
+"""Fit settings: what is trained, by which losses, for how long. A run's config.json holds them."""
+
+import math
+from dataclasses import dataclass, field
+
+from nerf.losses import LossConfig
+from nerf.optimise import OptimiserConfig
+from nerf.sample import SamplerConfig
+from priors.errors import expect
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """What is trained."""
+
+    family: str = "ngp"
+    """Which family of fields: ngp, mip360 or nerfpp."""
+    log2_size: int = 17
+    """Rows of the hash grid's levels, as a power of two."""
+    finest: int = 2048
+    """Cells along an axis of the finest level."""
+    width: int = 64
+    """Neurons of the hidden layers."""
+    sampler: SamplerConfig = field(default_factory=SamplerConfig)
+
+    def __post_init__(self) -> None:
+        expect(4 <= self.log2_size <= 24, "log2_size", self.log2_size, "4 to 24")
+        expect(16 <= self.finest <= 1 << 20, "finest", self.finest, "16 to 2^20 cells")
+        expect(self.width in range(16, 129, 16), "--width", self.width, "16, 32, 48, ..., 128 neurons")
+
+
+@dataclass(frozen=True)
+class FitConfig:
+    """Everything that decides a run's outcome; config.json holds it."""
+
+    model: ModelConfig = field(default_factory=ModelConfig)
+    losses: LossConfig = field(default_factory=LossConfig)
+    optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
+    rays: int = 1024
+    """Rays in a step."""
+    steps: int | None = None
+    """Stop after so many steps: the same seed gives the same bits on a CPU, however often the run was resumed."""
+    seconds: float | None = 60.0
+    """Or stop after this time; how far it gets depends on the machine."""
+    seed: int = 0
+    """Decides weights, rays and sample positions."""
+
+    def __post_init__(self) -> None:
+        expect(self.rays >= 1, "--rays", self.rays, "1 or more")
+        expect(self.steps is None or self.steps >= 1, "--steps", self.steps, "1 or more")
+        timed = self.seconds is not None and 0 < self.seconds < math.inf
+        expect(timed or (self.seconds is None and self.steps is not None), "--time", self.seconds, "more than 0")
+        expect(0 <= self.seed < 1 << 63, "--seed", self.seed, "0 or more")
+
+    def progress(self, step: int, elapsed_s: float) -> float:
+        """Return the spent share of the budget, [0, 1]: of the steps where they are given, else of the time."""
+        if self.steps is not None:
+            return min(1.0, step / self.steps)
+        return min(1.0, elapsed_s / self.seconds) if self.seconds else 1.0

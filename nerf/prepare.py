@@ -1,0 +1,189 @@
+"""Scene preparation: a drive's frames and a prior's maps are copied into files once, and shared by all runs on them.
+
+<folder>/<drive>-<digest>/images.npy         uint8 (frames, height, width, 3)
+                         /frames.json        ids, camera, poses
+                         /<prior>/depth.npy  float32 (frames, height, width), metres, 0 = no value
+                         /<prior>/weight.npy uint8 (frames, height, width), confidence x 255; where there is one
+"""
+
+import hashlib
+import json
+from collections.abc import Callable
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+import numpy.typing as npt
+
+from nerf.scene import Scene
+from nerf.split import split
+from nerf.stack import Stack, StackWriter
+from priors.cache import Prior
+from priors.codecs import write_bytes
+from priors.errors import DataError
+from priors.filters import Filters
+from priors.selection import select
+from priors.types import Camera, Depth, Drive
+
+LARGEST_STEP_M = 30.0
+"""Camera motion between neighbouring frames beyond which poses are taken to have jumped, metres."""
+ProgressBar: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
+"""Opens a progress bar of a label and a number of frames; yields what is called after each."""
+
+
+@dataclass(frozen=True)
+class SceneConfig:
+    """Which of a drive's frames a scene has, and what its prior passes before it is used."""
+
+    views: str = "dense"
+    """Training views: dense, sparse or a number."""
+    frames: str | None = None
+    """Range of frames, a:b; None: all."""
+    filters: Filters = field(default_factory=Filters)
+    """Thin the prior's maps once more, without another cache."""
+
+
+def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]]:
+    """Show no progress."""
+    return nullcontext(lambda: None)
+
+
+def open_scene(
+    drive: Drive, prior: Prior | None, config: SceneConfig, folder: Path, progress: ProgressBar = silent
+) -> Scene:
+    """Prepare a drive and a prior for training in a folder, or open what was prepared there before.
+
+    Raises:
+        DataError: frames lack poses, poses jump, or the prior was made for another drive or camera, or has no frame
+            or no value in common with the training frames.
+    """
+    positions = select(drive.ids, config.frames)
+    train, test = split(len(positions), config.views)
+    preparation = _Preparation(drive, positions, config.filters, folder, progress)
+    stamps = {} if prior is None else preparation.stamps(prior)  # before images are read: what does not fit is told
+    record = preparation.images()
+    depth_m, weight = None, None
+    if prior is not None:
+        depth_m, weight = preparation.maps(prior, stamps)
+        if not any((depth_m[position] > 0).any() for position in train):
+            lack = f"no value in any of the {len(train)} training frames"
+            raise DataError(f"{prior.folder}: {lack}: build or filter it anew")
+    camera, poses = Camera(np.array(record["K"]), tuple(record["size"])), np.array(record["T_world_cam"])
+    images = Stack(preparation.home / "images.npy")
+    return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test)
+
+
+@dataclass(frozen=True)
+class _Preparation:
+    """The frames at `positions` of a drive, on their way into files."""
+
+    drive: Drive
+    positions: list[int]
+    filters: Filters
+    folder: Path
+    progress: ProgressBar
+
+    @property
+    def ids(self) -> list[str]:
+        """The frames' ids."""
+        return [self.drive.ids[position] for position in self.positions]
+
+    @property
+    def home(self) -> Path:
+        """The folder of these frames of this drive."""
+        return self.folder / f"{self.drive.name}-{_digest(self.drive.fingerprint(), *self.ids)}"
+
+    def images(self) -> dict[str, Any]:
+        """Write images and poses unless they are there; the record is written last and marks them as done."""
+        path = self.home / "frames.json"
+        if not path.exists():
+            poses, camera = self._poses(), self.drive[self.positions[0]].camera
+            files = StackWriter(self.home / "images.npy", (len(self.positions), *camera.size, 3), np.uint8)
+            with files as images, self.progress(f"images of {self.drive.name}", len(self.positions)) as step:
+                for position in self.positions:
+                    image = self.drive[position].image()
+                    images.add(image if image.ndim == 3 else image[..., None])
+                    step()
+            record = {"ids": self.ids, "K": camera.K.tolist(), "size": camera.size, "T_world_cam": poses.tolist()}
+            write_bytes(path, json.dumps(record).encode())
+        return json.loads(path.read_text())
+
+    def stamps(self, prior: Prior) -> dict[str, str]:
+        """Return what tells apart the maps of the frames that have one, by frame id.
+
+        Raises:
+            DataError: no frame has a map, or the prior is of another drive.
+        """
+        made_for = prior.manifest.get("fingerprint")
+        if made_for is not None and made_for != self.drive.fingerprint():
+            other = f"made for {prior.drive.get('path')}, not for this {self.drive.name}"
+            raise DataError(f"{prior.folder}: {other}: build it anew")
+        stamps = {}
+        for id_ in self.ids:
+            with suppress(FileNotFoundError):
+                file = prior.depth_path(id_).stat()
+                stamps[id_] = f"{id_}:{file.st_size}:{file.st_mtime_ns}"
+        if not stamps:
+            raise DataError(
+                f"{prior.folder}: none of the {len(self.positions)} frames has a map: build the prior for them"
+            )
+        return stamps
+
+    def maps(self, prior: Prior, stamps: dict[str, str]) -> tuple[Stack, Stack | None]:
+        """Copy a prior's filtered maps into one file each, joined by frame id."""
+        place = self.home / f"{prior.name}-{_digest(json.dumps(self.filters.record()), *stamps.values())}"
+        if not (place / "depth.npy").exists():
+            self._copy(prior, set(stamps), place)
+        weight = place / "weight.npy"
+        return Stack(place / "depth.npy"), Stack(weight) if weight.exists() else None
+
+    def _copy(self, prior: Prior, common: set[str], place: Path) -> None:
+        """Write weight.npy, where there is confidence, then depth.npy, which marks both as done."""
+        shape = (len(self.positions), *self.drive[self.positions[0]].camera.size)
+        with ExitStack() as files:
+            depth_m = files.enter_context(StackWriter(place / "depth.npy", shape, np.float32))
+            weight = None
+            if prior.confidence_path("").parent.is_dir():
+                weight = files.enter_context(StackWriter(place / "weight.npy", shape, np.uint8))
+            step = files.enter_context(self.progress(f"maps of {prior.name}", len(self.positions)))
+            for position in self.positions:
+                depth = self._map(prior, position) if self.drive.ids[position] in common else None
+                depth_m.add(0 if depth is None else depth.depth_m)
+                if weight is not None:
+                    confidence = None if depth is None else depth.confidence
+                    weight.add(0 if confidence is None else np.rint(confidence * 255))
+                step()
+
+    def _map(self, prior: Prior, position: int) -> Depth:
+        """Read and filter a frame's map."""
+        frame = self.drive[position]
+        depth, size = prior.read(frame.id), frame.camera.size
+        if depth.depth_m.shape != size:
+            path, shape = prior.depth_path(frame.id), depth.depth_m.shape
+            raise DataError(f"{path}: {shape}, the images are {size}: build it again")
+        return self.filters(depth, frame)
+
+    def _poses(self) -> npt.NDArray[np.float64]:
+        """Collect the poses; DataError where one is missing, not finite, or far from its neighbour."""
+        name, poses = self.drive.name, []
+        for position in self.positions:
+            frame = self.drive[position]
+            if frame.T_world_cam is None or not np.isfinite(frame.T_world_cam).all():
+                raise DataError(
+                    f"{name}: frame {frame.id} has no pose: a field needs poses (`priors check` tells more)"
+                )
+            poses.append(frame.T_world_cam)
+        stacked = np.array(poses)
+        steps_m = np.linalg.norm(np.diff(stacked[:, :3, 3], axis=0), axis=1)
+        allowed_m = np.maximum(LARGEST_STEP_M, 5 * np.median(steps_m)) if len(steps_m) else 0
+        jumps = np.flatnonzero(steps_m > allowed_m)
+        if len(jumps):
+            at = self.ids[int(jumps[0]) + 1]
+            raise DataError(f"{name}: the pose jumps {steps_m[jumps[0]]:.0f} m before frame {at}: cut with --frames")
+        return stacked
+
+
+def _digest(*parts: str) -> str:
+    return hashlib.sha256("/".join(parts).encode()).hexdigest()[:10]

@@ -1,0 +1,45 @@
+"""Viewpoints: where views are rendered from, along a drive or from a file of poses."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from priors.errors import DataError
+from priors.selection import select
+from priors.types import Camera, Drive
+
+
+@dataclass(frozen=True)
+class Viewpoints:
+    """Poses of one camera."""
+
+    camera: Camera
+    ids: list[str]
+    """Names of the views' files."""
+    T_world_cam: npt.NDArray[np.float64]
+    """(n, 4, 4) camera to world, metres."""
+
+
+def along(drive: Drive, frames: str | None = None) -> Viewpoints:
+    """Return where a drive's camera was, in a range of frames a:b; None: all of them."""
+    posed = [drive[position] for position in select(drive.ids, frames)]
+    return Viewpoints(posed[0].camera, [frame.id for frame in posed], np.array([f.T_world_cam for f in posed]))
+
+
+def read_poses(path: Path, camera: Camera) -> Viewpoints:
+    """Read KITTI's poses, one a line: 12 numbers, camera to world, row by row, metres.
+
+    Raises:
+        DataError: it cannot be read, or a line has not 12 finite numbers.
+    """
+    try:
+        rows = np.loadtxt(path, ndmin=2)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: expected 12 numbers a line ({error})") from error
+    if rows.shape[1] != 12 or not np.isfinite(rows).all():
+        raise DataError(f"{path}: expected 12 finite numbers a line, found {rows.shape[1]}")
+    poses = np.tile(np.eye(4), (len(rows), 1, 1))
+    poses[:, :3] = rows.reshape(-1, 3, 4)
+    return Viewpoints(camera, [f"{i:06d}" for i in range(len(rows))], poses)

@@ -1,0 +1,186 @@
+"""Volume rendering model: rays go through a hash grid, networks and a sky, in one space.
+
+The study's three families are three settings of it. Samples are drawn where the occupancy grid, the prior and the
+proposals say; field, renderer and losses are the same for all.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf.config import FitConfig, ModelConfig
+from nerf.field import Field, FieldConfig
+from nerf.kernels import kernels_for
+from nerf.losses import LossConfig, Losses, losses
+from nerf.mlp import MLPConfig
+from nerf.model import StepResult
+from nerf.occupancy import Occupancy
+from nerf.optimise import Optimiser
+from nerf.proposals import Proposals, Round
+from nerf.sample import Sampler
+from nerf.scene import Scene, view_rays
+from nerf.sky import Sky, SkyConfig
+from nerf.space import Kind, Space
+from nerf.state import copy_into, joined, under
+from nerf.types import GridConfig, Key, Rays, Rendered, RenderedView, Samples
+from priors.machine import threads
+from priors.types import Camera, Matrix
+
+OCCUPANCY_EVERY = 16
+"""Steps from one look at the occupancy grid's cells to the next."""
+RENDER_RAYS = 8192
+"""Rays that are rendered at once: more need more memory and are no faster."""
+
+
+@dataclass(frozen=True)
+class VolumetricFamily:
+    """What makes a family; everything else is shared."""
+
+    space: Kind
+    """How the world is folded into the grid."""
+    proposals: tuple[int, ...] = ()
+    """Candidates per ray of each proposal round before the field's own samples; none: the occupancy grid alone."""
+    anti_aliased: bool = False
+    """Ask the grid for a sample's extent, not for a point: levels finer than a pixel's cone fade."""
+    distortion: float = 1.0
+    """How much more the distortion loss weighs than usual."""
+
+    def start(self, scene: Scene, config: FitConfig, device: str) -> "VolumetricModel":
+        """Make an untrained model around a scene, carved where the scene has a prior."""
+        space = Space.around(scene.T_world_cam[scene.train, :3, 3], scene.points_m(), self.space)
+        sampler = config.model.sampler
+        if sampler.carve and scene.depth_m is not None:
+            occupancy = Occupancy.carve(space, scene, trust=sampler.trust, device=device)
+        else:
+            occupancy = Occupancy(space, device=device)
+        return VolumetricModel(config.model, self, occupancy, config.seed)
+
+    def open(
+        self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str
+    ) -> "VolumetricModel":
+        """Make a model again of what a checkpoint holds."""
+        space = Space(**{name: _tuples(value) for name, value in record["space"].items()})
+        model = VolumetricModel(config, self, Occupancy(space, state["occupancy.kept"].shape[-1], device))
+        model.load(state)
+        return model
+
+
+class VolumetricModel:
+    """A nerf.model.Model: everything a checkpoint holds lives here."""
+
+    def __init__(self, config: ModelConfig, family: VolumetricFamily, occupancy: Occupancy, seed: int = 0) -> None:
+        """Make a model that is a thin, even fog, on the occupancy grid's device."""
+        self.config, self.family, self.occupancy = config, family, occupancy
+        self.space, self.device = occupancy.space, occupancy.kept.device
+        grid = GridConfig(log2_size=config.log2_size, finest=config.finest, tables=self.space.tables)
+        self.field = Field(FieldConfig(grid, MLPConfig(width=config.width)), self.device, seed)
+        self.sky = Sky(SkyConfig(), self.device)
+        self.sampler = Sampler(self.space, occupancy)
+        self.proposals = Proposals(family.proposals, self.sampler, self.device, seed + 1, family.anti_aliased)
+        self._renderer = kernels_for(self.device).render
+        self._optimiser = Optimiser(self.parameters(), self._copies())
+
+    def train(self, scene: Scene, config: FitConfig, step: int, progress: float) -> StepResult:
+        """Do a step of training; see nerf.model.Model."""
+        key = config.seed, step
+        rays = scene.draw(config.rays, *key).to(self.device)
+        rules = replace(config.losses, distortion=config.losses.distortion * self.family.distortion)
+        batch = self.backward(rays, rules, key, progress)
+        self._optimiser.step(config.optimiser, progress)
+        if step % OCCUPANCY_EVERY == 0:
+            self.occupancy.update(self.field.density, key)
+        return StepResult(batch.terms, batch.total, len(rays), batch.samples)
+
+    def backward(self, rays: Rays, config: LossConfig, key: Key, progress: float) -> Losses:
+        """Go forward and back with a batch; gradients are left in the parameters' `.grad`."""
+        samples, rounds = self._sample(rays, key, progress)
+        units = rays.units
+        sigma, rgb = self.field.forward(samples, units, self._footprint(rays, samples))
+        sky = self.sky.forward(units)
+        rendered = self._renderer.forward(samples, sigma, rgb, sky)
+        batch = losses(config, samples, rays, sigma, rendered)
+        d_sigma, d_rgb, d_sky = self._renderer.backward(samples, sigma, rgb, sky, rendered, batch.gradients)
+        self.field.backward(d_sigma, d_rgb)
+        self.sky.backward(d_sky)
+        if rounds:
+            batch.terms["interlevel"] = self.proposals.backward(rounds, samples, rendered)
+        self.occupancy.observe(samples, sigma)
+        return batch
+
+    @threads.quiet()
+    def render(self, T_world_cam: Matrix, camera: Camera) -> RenderedView:
+        """Render a view, in pieces that fit into memory."""
+        rays = view_rays(camera, T_world_cam).to(self.device)
+        pieces = [self.render_rays(_part(rays, first)) for first in range(0, len(rays), RENDER_RAYS)]
+        height, width = camera.size
+
+        def whole(name: str) -> np.ndarray:
+            return torch.cat([getattr(piece, name) for piece in pieces]).cpu().numpy().reshape(height, width, -1)
+
+        opacity = 1 - whole("transmittance")[..., 0]
+        return RenderedView(whole("rgb"), whole("depth_m")[..., 0], whole("median_m")[..., 0], opacity)
+
+    def render_rays(self, rays: Rays) -> Rendered:
+        """Render rays without learning."""
+        if self.family.proposals:
+            samples, _ = self._sample(rays, None, 1.0)
+        else:
+            samples = self.sampler.march(rays, self.config.sampler.render)
+        sigma, rgb = self.field.forward(samples, rays.units, self._footprint(rays, samples))
+        return self._renderer.forward(samples, sigma, rgb, self.sky.forward(rays.units))
+
+    def parameters(self) -> dict[str, Tensor]:
+        """Return the trainable tensors by name."""
+        parts: dict[str, Field | Sky] = {"field": self.field, "sky": self.sky, **self.proposals.named()}
+        return joined({name: part.parameters() for name, part in parts.items()})
+
+    def state(self) -> dict[str, Tensor]:
+        """Return every tensor that a checkpoint keeps, by name."""
+        own, occupancy, optimiser = self.parameters(), self.occupancy.state(), self._optimiser.state()
+        return joined({"model": own, "occupancy": occupancy, "optimiser": optimiser})
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Take over a saved state; ValueError where it is of a model of other settings."""
+        copy_into(self.parameters(), under("model", state))
+        self.occupancy.load(under("occupancy", state))
+        self._optimiser.load(under("optimiser", state))
+
+    def record(self) -> dict[str, Any]:
+        """Return the space: with config and state it makes the model again."""
+        return {"space": asdict(self.space)}
+
+    def _copies(self) -> dict[str, Tensor]:
+        """Return the rounded copies of parameters that the kernels read, by the parameters' names."""
+        return joined({name: part.copies() for name, part in {"field": self.field, **self.proposals.named()}.items()})
+
+    def _sample(self, rays: Rays, key: Key | None, progress: float) -> tuple[Samples, list[Round]]:
+        """Sample rays; with the proposal rounds that led there, near to far."""
+        config = self.config.sampler
+        rays = self._trusted(rays)
+        if self.family.proposals:
+            return self.proposals.sample(rays, config, key, progress)
+        if config.guide and rays.depth_m is not None:
+            return self.sampler.guided(rays, config, key), []
+        return self.sampler.march(rays, config.free, key), []
+
+    def _trusted(self, rays: Rays) -> Rays:
+        """Return the rays without those prior values that are more likely wrong than samplers can stand."""
+        if rays.depth_m is None or rays.weight is None:
+            return rays
+        return replace(rays, depth_m=torch.where(rays.weight >= self.config.sampler.trust, rays.depth_m, 0.0))
+
+    def _footprint(self, rays: Rays, samples: Samples) -> Tensor | None:
+        """Return the samples' extents, (m,) in units of u; None where points will do."""
+        return self.space.footprint(samples, rays.pixel) if self.family.anti_aliased and rays.pixel else None
+
+
+def _part(rays: Rays, first: int) -> Rays:
+    piece = slice(first, first + RENDER_RAYS)
+    return Rays(rays.origins_m[piece], rays.directions[piece], pixel=rays.pixel)
+
+
+def _tuples(value: Any) -> Any:
+    return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -1,0 +1,125 @@
+"""Runs from Python: two lines do what `nerf fit` does, bit for bit, also on a drive that no command knows."""
+
+import json
+import subprocess
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from nerf import checkpoint
+from nerf.config import FitConfig, ModelConfig
+from nerf.fit import Status
+from nerf.prepare import SceneConfig
+from nerf.run import begin, open_run
+from nerf.viewpoints import read_poses
+from priors.drives import open_drive
+from priors.errors import DataError
+from priors.machine import threads
+from priors.street.write import write_street
+from priors.types import Camera, Drive, Frame
+
+STEPS = 6
+
+
+@pytest.fixture(scope="module")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("home") / "street"
+    write_street(folder, 10, 7, (32, 96))
+    return folder
+
+
+def config(**changes: Any) -> FitConfig:
+    return FitConfig(ModelConfig(width=16), rays=256, steps=STEPS, **changes)
+
+
+def test_two_lines_do_what_the_command_does(street: Path, tmp_path: Path) -> None:
+    run = begin(open_drive(street), scene=SceneConfig(views="4"), fit=config(), folder=tmp_path / "python")
+    run.fit()
+    report = run.report()
+    command = ["fit", street, "--views", 4, "--width", 16, "--rays", 256, "--steps", STEPS, "--run", tmp_path / "typed"]
+    program = [sys.executable, "-c", "from cli.nerf import main; main()", *map(str, command)]
+    subprocess.run(program, check=True, capture_output=True)
+    ours, theirs = (load_file(tmp_path / name / checkpoint.NAME) for name in ("python", "typed"))
+    assert ours.keys() == theirs.keys()
+    assert all(torch.equal(tensor, theirs[name]) for name, tensor in ours.items())
+    typed = json.loads((tmp_path / "typed" / "metrics.json").read_text())["metrics"]
+    for name, value in report.metrics().items():
+        if typed[name] is not None and name != "render_s":
+            assert value == pytest.approx(typed[name]), name
+
+
+@dataclass(frozen=True)
+class Mine:
+    """A drive that is in memory alone: no reader could open it again."""
+
+    source: Drive
+
+    name = "mine"
+
+    @property
+    def ids(self) -> list[str]:
+        return list(self.source.ids)
+
+    def __len__(self) -> int:
+        return len(self.source)
+
+    def __getitem__(self, index: int) -> Frame:
+        return self.source[index]
+
+    def describe(self) -> dict[str, Any]:
+        return {"dataset": "mine", "path": "memory"}
+
+    def fingerprint(self) -> str:
+        return "mine"
+
+
+def test_a_drive_of_ones_own_is_fitted_and_scored(street: Path, tmp_path: Path) -> None:
+    seen: list[Status] = []
+    run = begin(Mine(open_drive(street)), fit=config(), folder=tmp_path / "run")
+    run.fit("cpu", seen.append)
+    assert [status.step for status in seen] == list(range(1, STEPS + 1))
+    assert run.report("cpu").info["name"] == "run"
+    with pytest.raises(DataError, match="memory: no such folder"):
+        open_run(tmp_path / "run").report("cpu")
+
+
+def test_a_run_is_named_after_what_it_is(street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    made = begin(open_drive(street), scene=SceneConfig(views="sparse"), fit=config())
+    assert made.folder == Path("runs") / f"{open_drive(street).name}-ngp-sparse"
+    with pytest.raises(DataError, match="expected dense, sparse or a number"):
+        _ = begin(open_drive(street), scene=SceneConfig(views="x"), fit=config()).scene
+
+
+def test_views_are_rendered_where_they_are_asked_for(street: Path, tmp_path: Path) -> None:
+    run = begin(open_drive(street), fit=config(), folder=tmp_path / "run")
+    run.fit("cpu")
+    views = run.viewpoints("2:4")
+    assert views.ids == run.drive.ids[2:4]
+    run.render(views, tmp_path / "views", "cpu")
+    assert len(list((tmp_path / "views").rglob("*.png"))) == 6
+
+
+def test_poses_that_cannot_be_read_are_told(tmp_path: Path) -> None:
+    camera = Camera(np.eye(3), (4, 4))
+    for text, expected in (("1 2 3", "found 3"), ("a b", "expected 12 numbers"), ("nan " * 12, "12 finite numbers")):
+        (tmp_path / "poses.txt").write_text(text)
+        with pytest.raises(DataError, match=expected):
+            read_poses(tmp_path / "poses.txt", camera)
+
+
+def test_a_fit_holds_the_libraries_threads_as_the_command_does(street: Path, tmp_path: Path) -> None:
+    """PyTorch's threads would spin between our kernels' calls, and keep the pool's from the cores."""
+    counts = []
+    with threads.limited(2):
+        begin(open_drive(street), fit=config(), folder=tmp_path / "run").fit(
+            "cpu", lambda status: counts.append((torch.get_num_threads(), threads.count()))
+        )
+        assert torch.get_num_threads() == 2
+    assert set(counts) == {(1, 2)}
