@@ -132,10 +132,13 @@ def render_samples(args: SamplesArguments) -> None:
 
 def stereo_task(args: StereoArguments) -> "Task":
     """Make what a stereo network learns."""
+    import torch
+
     from priors.learn.stereo import SCHEDULE, StereoTask
     from priors.learn.stereo_data import Folders, mixture, validation
     from priors.nets import runtime
 
+    torch.manual_seed(0)
     net = runtime.create(args.net, args.size)
     folders = Folders(args.street, args.real, args.cache, args.teacher)
     schedule = (0, 0) if started_from(args) else SCHEDULE  # what has learned already learns on as a whole
