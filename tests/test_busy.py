@@ -1,5 +1,6 @@
 """Beside a process that burns a core, two threads take no more CPU time than one: nobody spins while another works."""
 
+import os
 import statistics
 import subprocess
 import sys
@@ -77,3 +78,36 @@ def test_a_network() -> None:
 
     match()
     nobody_spins(match)
+
+
+HELD_BEFORE = """
+import statistics, sys, time, torch
+torch.set_num_threads(1)  # before our first call
+from priors.machine import threads
+
+def work():
+    x = torch.ones(256, 256)
+    for _ in range(100):
+        torch.relu(x @ x).exp().sum().item()
+        sum(range(2000))
+
+def cpu_seconds(count):
+    with threads.limited(count):
+        start = time.process_time()
+        work()
+        return time.process_time() - start
+
+cpu_seconds(2)
+print(*(statistics.median(cpu_seconds(count) for _ in range(9)) for count in (1, 2)))
+"""
+
+
+def test_a_program_that_held_torch_to_one_thread_before() -> None:
+    # The commands set the variable; a program of one's own does not.
+    alone = {name: value for name, value in os.environ.items() if name != "OMP_WAIT_POLICY"}
+    with burning():
+        done = subprocess.run(
+            [sys.executable, "-c", HELD_BEFORE], check=True, capture_output=True, text=True, env=alone
+        )
+    one, two = map(float, done.stdout.split())
+    assert two < SLACK * one, (one, two)

@@ -1,5 +1,6 @@
 """The completion network: what it promises for any input, and the method around it."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 import torch
 
 from priors.errors import DataError
+from priors.machine import threads
 from priors.methods._completion_classical import list_samples, near_samples
 from priors.methods._completion_network import span
 from priors.methods.completion import Completion, complete
@@ -21,7 +23,12 @@ F = np.float32
 SIZE = (75, 140)
 CAMERA = Camera(np.array([[100.0, 0, 70], [0, 100, 30], [0, 0, 1]]), SIZE)
 T_CAM_LIDAR = np.array([[0, -1.0, 0, 0.06], [0, 0, -1, -0.08], [1, 0, 0, -0.27], [0, 0, 0, 1]])
-torch.set_num_threads(1)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    with threads.limited(1):
+        yield
 
 
 def network(seed: int = 0, loud: float = 0.05) -> Mffnet:

@@ -136,12 +136,18 @@ def _park() -> None:
     ready = threading.Event()
 
     def park() -> None:
-        sys.modules["torch"].zeros(1 << 17).exp_()  # large enough for a team
-        ready.set()
+        torch = sys.modules["torch"]
+        before = torch.get_num_threads()
+        try:
+            torch.set_num_threads(max(2, before))  # a program may have set 1 before: that would be no team
+            torch.zeros(1 << 17).exp_()  # large enough for a team
+        finally:
+            torch.set_num_threads(before)
+            ready.set()
         threading.Event().wait()
 
     threading.Thread(target=park, name="roadprior-parked", daemon=True).start()
-    ready.wait(timeout=1)
+    ready.wait()
 
 
 @contextmanager
