@@ -10,10 +10,10 @@ from safetensors import SafetensorError, safe_open
 from safetensors import torch as tensors
 from torch import Tensor
 
+from eval.files import write_bytes
 from nerf import fields
 from nerf.config import ModelConfig
 from nerf.model import Model
-from priors.codecs import write_bytes
 from priors.errors import DataError
 from priors.records import restore
 

@@ -9,9 +9,9 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from eval.files import write_bytes
 from eval.image import as_uint8
 from nerf.types import OPAQUE, Render, RenderedView
-from priors import codecs
 from priors.errors import DataError
 from priors.export import triangles
 from priors.export.triangles import Triangles
@@ -106,7 +106,7 @@ def write_ply(path: Path, points: Points) -> None:
     properties = [f"property {kinds[POINT[name].str]} {name}" for name in POINT.names or ()]
     lines = ["ply", "format binary_little_endian 1.0", "comment metres, in the drive's world frame"]
     lines += [f"element vertex {len(points)}", *properties, "end_header"]
-    codecs.write_bytes(path, "".join(f"{line}\n" for line in lines).encode() + points.tobytes())
+    write_bytes(path, "".join(f"{line}\n" for line in lines).encode() + points.tobytes())
 
 
 def write_mesh(

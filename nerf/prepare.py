@@ -17,11 +17,11 @@ from typing import Any, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from eval.files import write_bytes
 from nerf.scene import Scene
 from nerf.split import split
 from nerf.stack import Stack, StackWriter
 from priors.cache import Prior
-from priors.codecs import write_bytes
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.selection import select

@@ -20,6 +20,7 @@ from typing import Any, Self
 import numpy as np
 
 from eval.depth import DepthSums
+from eval.files import write_bytes
 from eval.image import ImageScore, mean
 from eval.lpips import HOW_TO_GET, Lpips
 from eval.protocol import Protocol, ScoreError, preset
@@ -98,9 +99,7 @@ class Report:
         }
         if self.depth().rows:
             self.depth().save(folder / "depth.json")
-        codecs.write_bytes(
-            folder / "metrics.json", (json.dumps(_as_json(content), indent=1, allow_nan=False) + "\n").encode()
-        )
+        write_bytes(folder / "metrics.json", (json.dumps(_as_json(content), indent=1, allow_nan=False) + "\n").encode())
 
     @classmethod
     def load(cls, path: Path) -> Self:

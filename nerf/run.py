@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from eval.files import write_bytes
 from eval.lpips import Lpips
 from nerf import checkpoint
 from nerf.config import FitConfig
@@ -23,7 +24,7 @@ from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
-from priors import cache, codecs
+from priors import cache
 from priors.cache import Prior
 from priors.drives import reopen
 from priors.errors import DataError
@@ -187,7 +188,7 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
         for name in (checkpoint.NAME, "metrics.jsonl", "metrics.json"):
             (folder / name).unlink(missing_ok=True)
     text = json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n"
-    codecs.write_bytes(path, text.encode())
+    write_bytes(path, text.encode())
     return Run(folder, config)
 
 

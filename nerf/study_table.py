@@ -15,12 +15,13 @@ from pathlib import Path
 import numpy as np
 
 from eval import typeset
+from eval.files import write_bytes
 from eval.protocol import ScoreError
 from eval.result import refuse_to_mix
 from eval.typeset import Column, Table
 from nerf.report import Report
 from nerf.study import NONE, SHARES, Outcome, RunSpec
-from priors import cache, codecs
+from priors import cache
 from priors.draw import lines
 from priors.draw.lines import Line, Plot
 from priors.errors import DataError
@@ -93,7 +94,7 @@ def save(outcomes: Sequence[Outcome], folder: Path, command: str) -> list[Path]:
     }
     paths = [folder / f"table{suffix}" for suffix in texts]
     for path, text in zip(paths, texts.values(), strict=True):
-        codecs.write_bytes(path, text.encode())
+        write_bytes(path, text.encode())
     plots = density_plots(outcomes)
     for path in [folder / f"density{suffix}" for suffix in (".png", ".svg", ".pdf") if plots]:
         lines.write(path, plots)

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from eval import files
+from eval.files import write_bytes
 from priors import codecs
 from priors.errors import DataError
 from priors.types import Depth
@@ -130,7 +131,7 @@ def create(folder: Path, manifest: dict[str, Any]) -> Prior:
     path = folder / "manifest.json"
     if path.exists():
         load(folder)
-    codecs.write_bytes(path, (json.dumps(manifest, indent=2, allow_nan=False) + "\n").encode())
+    write_bytes(path, (json.dumps(manifest, indent=2, allow_nan=False) + "\n").encode())
     return Prior(folder, manifest)
 
 

@@ -19,8 +19,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from eval.files import write_atomically as write_atomically
-from eval.files import write_bytes as write_bytes
+from eval.files import write_bytes
 from priors.errors import DataError
 from priors.types import FloatMap, Image
 

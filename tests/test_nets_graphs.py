@@ -8,7 +8,7 @@ import torch
 from test_nets import random_pair
 from torch import Tensor, nn
 
-from priors import codecs
+from eval.files import write_bytes
 from priors.errors import DataError
 from priors.methods.completion import Completion
 from priors.methods.mono import Mono
@@ -176,6 +176,6 @@ def test_the_methods_run_in_onnxruntime(tmp_path: Path) -> None:
 
 def test_a_file_that_completion_cannot_run_is_named(tmp_path: Path) -> None:
     file = tmp_path / "a.onnx"
-    codecs.write_bytes(file, b"")
+    write_bytes(file, b"")
     with pytest.raises(DataError, match="bf16"):
         runtime.choose("bf16", file)

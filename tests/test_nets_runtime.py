@@ -11,6 +11,7 @@ import torch
 from conftest import RealData
 from standin import Standin, install
 
+from eval.files import write_bytes
 from priors import codecs
 from priors.errors import DataError
 from priors.machine.cpu import Mode
@@ -227,7 +228,7 @@ def test_onnx_equals_torch(tmp_path: Path) -> None:
     assert [graphs(left, right, largest)[0].shape for largest in (64, 96, 32)] == [(40, 72)] * 3
     assert len(graphs.graphs) == 2
     path = tmp_path / "a.onnx"
-    codecs.write_bytes(path, to_onnx(ready, (64, 96), 32))
+    write_bytes(path, to_onnx(ready, (64, 96), 32))
     graph = Graph(path)
     assert graph.size == (64, 96) and graph.about == {"net": "cfnet", "size": "m", "largest_px": 32}
     assert np.allclose(graph(left, right)[0][:, :-4], exact[0][:, :-4], atol=2e-3)

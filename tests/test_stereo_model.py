@@ -9,6 +9,7 @@ from factories import scene as slanted
 from standin import install
 from test_stereo import BASELINE_M, FX, frame, pair, scene
 
+from eval.files import write_bytes
 from priors import build
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
@@ -204,13 +205,12 @@ def test_weights_need_a_network() -> None:
 
 
 def test_onnx_gives_the_same_depth(tmp_path: Path) -> None:
-    from priors import codecs
     from priors.nets.export import to_onnx
 
     left, right, _ = scene()
     exact = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=60)(frame(left, right))
     file = tmp_path / "a.onnx"
-    codecs.write_bytes(file, to_onnx(runtime.open_net("cfnet", "s", "onnx"), (128, 320), 64))
+    write_bytes(file, to_onnx(runtime.open_net("cfnet", "s", "onnx"), (128, 320), 64))
     for method in (
         Stereo(model="cfnet", runtime="onnx", offset_px=ZERO, max_disparity_px=60),
         Stereo(model="cfnet", weights=file, offset_px=ZERO),

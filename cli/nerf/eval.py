@@ -11,6 +11,7 @@ import tyro
 from cli.arguments import Device, ThreadArguments, parse
 from cli.console import out, progress
 from eval import lpips, typeset
+from eval.files import write_bytes
 from nerf.page import runs_page
 from nerf.pictures import compare, load_view
 from nerf.report import Report
@@ -84,7 +85,7 @@ def _score(args: ReportArguments, command: str) -> int:
             pictures = [Picture(f"frame {id_}", image) for id_, image in views]
             runs_page(runs, reports, laid, pictures, command).write(path)
         else:
-            codecs.write_bytes(path, WRITERS[path.suffix](laid).encode())
+            write_bytes(path, WRITERS[path.suffix](laid).encode())
         out.print(f"wrote {path}")
     if args.pictures is not None:
         count = 0

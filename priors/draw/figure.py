@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from priors import codecs
+from eval.files import write_bytes
 from priors.errors import DataError
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import
@@ -73,7 +73,7 @@ def styled() -> Iterator[None]:
 def save(figure: "Figure", path: Path) -> None:
     """Write a figure, atomically; DataError where the name ends in none of .png, .svg, .pdf."""
     check_name(path)
-    codecs.write_bytes(path, encode(figure, path.suffix.lower()))
+    write_bytes(path, encode(figure, path.suffix.lower()))
 
 
 def encode(figure: "Figure", suffix: str) -> bytes:

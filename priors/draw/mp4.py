@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
-from priors import codecs
+from eval.files import write_atomically
 from priors.errors import DataError
 from priors.machine import threads
 from priors.types import Image
@@ -47,7 +47,7 @@ def write_mp4(path: Path, pictures: Iterable[Image], fps: float) -> int:
         if not count:
             raise DataError(f"{path}: no pictures to write")
 
-    codecs.write_atomically(path, write)
+    write_atomically(path, write)
     return count
 
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from priors import codecs
+from eval.files import write_bytes
 from priors.errors import DataError
 from priors.types import FloatMap
 
@@ -51,7 +51,7 @@ def check_name(path: Path) -> None:
 def write_triangles(path: Path, mesh: Triangles) -> None:
     """Write a mesh in the format that the name's ending says, atomically."""
     check_name(path)
-    codecs.write_bytes(path, WRITERS[path.suffix.lower()](mesh))
+    write_bytes(path, WRITERS[path.suffix.lower()](mesh))
 
 
 def ply(mesh: Triangles) -> bytes:

@@ -8,7 +8,7 @@ from safetensors import safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor
 
-from priors import codecs
+from eval.files import write_atomically, write_bytes
 from priors.errors import DataError
 from priors.nets import runtime, weights
 
@@ -20,7 +20,7 @@ def write(path: Path, tensors: dict[str, Tensor], state: dict[str, Any] | None =
     plain = {name: value.detach().cpu().contiguous().clone() for name, value in tensors.items()}
     metadata = None if state is None else {"state": json.dumps(state)}
     path.parent.mkdir(parents=True, exist_ok=True)
-    codecs.write_atomically(path, lambda target: save_file(plain, target, metadata))
+    write_atomically(path, lambda target: save_file(plain, target, metadata))
 
 
 def read(path: Path) -> tuple[dict[str, Tensor], dict[str, Any]]:
@@ -41,7 +41,7 @@ def not_ours(path: Path, error: Exception) -> DataError:
 
 def write_record(out: Path, record: dict[str, Any]) -> None:
     """Write what people want to know of a run."""
-    codecs.write_bytes(out / RECORD, json.dumps(record, indent=2).encode())
+    write_bytes(out / RECORD, json.dumps(record, indent=2).encode())
 
 
 def about_run(out: Path) -> dict[str, str | None]:

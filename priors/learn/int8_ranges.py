@@ -15,7 +15,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from priors import codecs
+from eval.files import write_bytes
 from priors.drives import open_drive
 from priors.errors import DataError
 from priors.nets import weights
@@ -99,7 +99,7 @@ def calibrate(
         "pairs": len(frames),
         "ranges": {name: [round(span.low, 5), round(span.high, 5)] for name, span in ranges.items()},
     }
-    codecs.write_bytes(beside(path), (json.dumps(text) + "\n").encode())
+    write_bytes(beside(path), (json.dumps(text) + "\n").encode())
     print(f"wrote {beside(path)}: {len(ranges)} convolutions, {len(frames)} pairs")
 
 

@@ -28,7 +28,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from priors import codecs
+from eval.files import write_atomically
 from priors.errors import DataError
 from priors.learn.stereo_pair import Sensors, StereoPair
 from priors.learn.warp import DisparityImage
@@ -129,7 +129,7 @@ def _write(path: Path, arrays: Arrays) -> None:
         with target.open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
 
-    codecs.write_atomically(path, save)
+    write_atomically(path, save)
 
 
 @contextmanager

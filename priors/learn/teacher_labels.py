@@ -18,7 +18,7 @@ import torch
 import tyro
 from torch import nn
 
-from priors import codecs
+from eval.files import write_atomically
 from priors.codecs import as_rgb
 from priors.errors import DataError
 from priors.geometry import mirror_columns
@@ -74,7 +74,7 @@ def label(net: nn.Module, view: EyeView, config: TeacherConfig) -> None:
     """Write the map of one view, if it is not there."""
     path = config.out / f"{view.name}.npy"
     if not path.exists():
-        codecs.write_atomically(path, partial(_save, predict(net, view, bf16=config.bf16)))
+        write_atomically(path, partial(_save, predict(net, view, bf16=config.bf16)))
         print(path, flush=True)
 
 

@@ -23,7 +23,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from priors import codecs
+from eval.files import write_bytes
 from priors.errors import DataError
 from priors.nets.graphs import FORMS, open_session, write_down
 from priors.nets.graphs import to_onnx as one_image_to_onnx
@@ -148,11 +148,11 @@ def export(
     width, height = _parse_size(image_size)
     ready = open_net(net, size, "onnx", weights)
     if net in FORMS:
-        codecs.write_bytes(out, one_image_to_onnx(ready, net, FORMS[net].examples(height, width)))
+        write_bytes(out, one_image_to_onnx(ready, net, FORMS[net].examples(height, width)))
         open_session(out)  # it opens
         return
     height, width = (-(-side // 32) * 32 for side in (height, width))
-    codecs.write_bytes(out, to_onnx(ready, (height, width), -(-max_disparity // 32) * 32))
+    write_bytes(out, to_onnx(ready, (height, width), -(-max_disparity // 32) * 32))
     Graph(out)
 
 

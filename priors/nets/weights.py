@@ -12,7 +12,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from priors import codecs
+from eval.files import write_bytes
 from priors.errors import DataError
 
 FOLDER = Path(__file__).resolve().parents[1] / "weights"
@@ -119,13 +119,13 @@ def write(path: Path, net: nn.Module, about: dict[str, Any], dtype: torch.dtype 
         for key, value in net.state_dict().items()
         if not _counts(key)
     }
-    codecs.write_bytes(path, save(tensors, _encode(about)))
+    write_bytes(path, save(tensors, _encode(about)))
 
 
 def rewrite_about(path: Path, **changes: Any) -> None:
     """Change entries of a file's header and nothing else."""
     weights = load(path)
-    codecs.write_bytes(path, save(weights.tensors, _encode({**weights.about, **changes})))
+    write_bytes(path, save(weights.tensors, _encode({**weights.about, **changes})))
 
 
 @lru_cache(maxsize=16)

@@ -9,6 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from eval.files import write_bytes
 from eval.typeset import Table
 from priors import codecs
 from priors.draw import lines
@@ -94,7 +95,7 @@ class Page:
 
     def write(self, path: Path) -> None:
         """Write the page, atomically."""
-        codecs.write_bytes(path, self.html().encode())
+        write_bytes(path, self.html().encode())
 
 
 def element(svg: str) -> str:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from priors import codecs
+from eval.files import write_bytes
 from priors.drives._oxts import EARTH_RADIUS_M
 from priors.street import rig
 from priors.types import Camera, Matrix
@@ -35,7 +35,7 @@ def _row(values: Matrix) -> str:
 
 
 def _write(path: Path, lines: list[str]) -> None:
-    codecs.write_bytes(path, ("\n".join(lines) + "\n").encode())
+    write_bytes(path, ("\n".join(lines) + "\n").encode())
 
 
 def oxts_lines(T_world_imu: Matrix, speed_mps: float) -> list[str]:

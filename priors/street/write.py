@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from eval.files import write_bytes
 from priors import codecs, geometry
 from priors.errors import DataError
 from priors.street import kitti, rig
@@ -100,7 +101,7 @@ def _claim(drive: Path, wanted: dict[str, object]) -> None:
         if record != wanted:
             raise DataError(f"{path}: holds another street ({record}, not {wanted}): remove it or choose another OUT")
     else:
-        codecs.write_bytes(path, (json.dumps(wanted) + "\n").encode())
+        write_bytes(path, (json.dumps(wanted) + "\n").encode())
 
 
 def _marker(drive: Path, number: int) -> Path:
@@ -113,10 +114,10 @@ def _write_way(drive: Path, street: Street, frames: int) -> None:
     times = FRAME_S * np.arange(frames)
     T_world_imu = street.T_world_velo(times) @ rig.T_velo_imu()
     for number, line in enumerate(kitti.oxts_lines(T_world_imu, street.config.speed_mps)):
-        codecs.write_bytes(drive / "oxts" / "data" / f"{number:010d}.txt", line.encode())
+        write_bytes(drive / "oxts" / "data" / f"{number:010d}.txt", line.encode())
     stamps = kitti.timestamps(times).encode()
     for folder in (*PAIR_CAMERAS, "velodyne_points", "oxts"):
-        codecs.write_bytes(drive / folder / "timestamps.txt", stamps)
+        write_bytes(drive / folder / "timestamps.txt", stamps)
 
 
 def _write_frame(drive: Path, street: Street, number: int, size: tuple[int, int]) -> None:
@@ -134,7 +135,7 @@ def _write_frame(drive: Path, street: Street, number: int, size: tuple[int, int]
         codecs.write_depth_png(maps / "groundtruth" / name / f"{id_}.png", view.depth_m)
         sparse = _project(street, points[:, :3], seconds, time_s, T_world_cam, size)
         codecs.write_depth_png(maps / "velodyne_raw" / name / f"{id_}.png", sparse)
-    codecs.write_bytes(_marker(drive, number), points.astype("<f4").tobytes())
+    write_bytes(_marker(drive, number), points.astype("<f4").tobytes())
 
 
 def _project(

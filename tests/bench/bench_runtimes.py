@@ -23,13 +23,14 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from eval.files import write_bytes
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it
 
 import cv2
 import numpy as np
 from stereo_contestants import sgbm
 
-from priors import codecs
 from priors.drives import DriveOptions, open_drive
 from priors.machine import cpu
 from priors.machine.memory import keep_freed
@@ -70,7 +71,7 @@ def write(options: argparse.Namespace, modes: dict[str, Any]) -> None:
     """Put the kinds measured so far where `--runtime auto` reads them."""
     clocked = "processor's time of one thread" if options.processor_time else "time on all cores"
     table = {"machine": options.machine, "what": f"{clocked}, SGBM's = 1", "modes": modes}
-    codecs.write_bytes(speeds.FILE, (json.dumps(table, indent=1) + "\n").encode())
+    write_bytes(speeds.FILE, (json.dumps(table, indent=1) + "\n").encode())
 
 
 def parse() -> argparse.Namespace:

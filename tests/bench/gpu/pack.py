@@ -13,6 +13,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from eval.files import write_bytes
 from priors import cache, codecs
 from priors.drives import open_drive
 from priors.drives._files import follow
@@ -43,7 +44,7 @@ def make_pack(data: Path, pack: Path) -> int:
     _build_prior(data, pack)
     _write_truth(drive, pack)
     size = sum(path.stat().st_size for path in pack.rglob("*") if path.is_file())
-    codecs.write_bytes(pack / "pack.json", json.dumps({"drive": drive.name, "bytes": size}).encode())
+    write_bytes(pack / "pack.json", json.dumps({"drive": drive.name, "bytes": size}).encode())
     print(f"{pack}: {drive.name}, {len(drive)} frames, {size / 2**20:.1f} MiB")
     if size > LARGEST_BYTES:
         print(f"{pack}: larger than the {LARGEST_BYTES >> 20} MiB that may travel: take a smaller drive")
