@@ -4,6 +4,8 @@ from collections.abc import Mapping
 
 from torch import Tensor
 
+from priors.nets import weights
+
 
 def joined(parts: Mapping[str, Mapping[str, Tensor]]) -> dict[str, Tensor]:
     """Name every tensor after its part: "part.name"."""
@@ -12,8 +14,7 @@ def joined(parts: Mapping[str, Mapping[str, Tensor]]) -> dict[str, Tensor]:
 
 def under(part: str, state: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """Return a part's tensors by their own names: `joined` undone."""
-    prefix = f"{part}."
-    return {name.removeprefix(prefix): tensor for name, tensor in state.items() if name.startswith(prefix)}
+    return weights.under(state, f"{part}.")
 
 
 def copy_into(own: Mapping[str, Tensor], saved: Mapping[str, Tensor]) -> None:

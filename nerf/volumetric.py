@@ -27,6 +27,7 @@ from nerf.space import Kind, Space
 from nerf.state import copy_into, joined, under
 from nerf.types import GridConfig, Key, Rays, Rendered, RenderedView, Samples
 from priors.machine import threads
+from priors.records import restore
 from priors.types import Camera, Matrix
 
 OCCUPANCY_EVERY = 16
@@ -62,7 +63,7 @@ class VolumetricFamily:
         self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str
     ) -> "VolumetricModel":
         """Make a model again of what a checkpoint holds."""
-        space = Space(**{name: _tuples(value) for name, value in record["space"].items()})
+        space = restore(Space, record["space"])
         model = VolumetricModel(config, self, Occupancy(space, state["occupancy.kept"].shape[-1], device))
         model.load(state)
         return model
@@ -180,7 +181,3 @@ class VolumetricModel:
 def _part(rays: Rays, first: int) -> Rays:
     piece = slice(first, first + RENDER_RAYS)
     return Rays(rays.origins_m[piece], rays.directions[piece], pixel=rays.pixel)
-
-
-def _tuples(value: Any) -> Any:
-    return tuple(map(_tuples, value)) if isinstance(value, list) else value

@@ -82,6 +82,12 @@ def shard(items: Sequence[Item], text: str | None) -> list[Item]:
     return list(items[part - 1 :: count])
 
 
+def pick_middles(items: Sequence[Item], most: int) -> list[Item]:
+    """Return at most `most` items, spread evenly: from the middles of as many stretches."""
+    step = max(1, len(items) // most)
+    return list(items[step // 2 :: step][:most])
+
+
 def parse_hold_out(text: str) -> slice | int | None:
     """Return what start:stop:step, or a single position, cuts out as Python counts; None for `none`."""
     if text == "none":

@@ -205,6 +205,13 @@ def test_bad_shards_say_what_is_expected(text: str) -> None:
         selection.shard([1, 2, 3], text)
 
 
+@pytest.mark.parametrize(
+    ("count", "most", "picked"), [(10, 2, [2, 7]), (9, 4, [1, 3, 5, 7]), (3, 4, [0, 1, 2]), (0, 4, [])]
+)
+def test_middles_are_spread_evenly(count: int, most: int, picked: list[int]) -> None:
+    assert selection.pick_middles(range(count), most) == picked
+
+
 def test_a_dry_run_leaves_no_folder(tmp_path: Path) -> None:
     assert len(build.prepare(Line(), Plane(), folder=tmp_path / "cache").plan().todo) == 10
     assert not (tmp_path / "cache").exists()

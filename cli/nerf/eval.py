@@ -20,7 +20,8 @@ from nerf.study_table import COLUMNS
 from nerf.truths import Truths
 from priors import codecs
 from priors.errors import DataError, UsageError
-from priors.report.page import SUFFIX, Picture
+from priors.report.page import PICTURED, SUFFIX, Picture
+from priors.selection import pick_middles
 from priors.types import Image
 
 EXAMPLES = """Score runs' held-out views and print one table; views that were rendered already are not rendered again.
@@ -33,8 +34,6 @@ examples:
   nerf eval runs/a --lpips-weights squeezenet1_1_fp16.npz squeeze.pth
 """
 WRITERS = {".md": typeset.markdown, ".tex": typeset.latex, ".txt": typeset.plain}
-PICTURED = 4
-"""Held-out views that are on a report page."""
 
 
 @dataclass(frozen=True)
@@ -104,8 +103,7 @@ def _compared(runs: Sequence[Run], most: int | None = None) -> Iterator[tuple[st
     ids = [[each.scene.ids[position] for position in each.scene.test] for each in runs]
     truths = Truths(drive, ids[0])
     common = [(id_, position) for id_, position in zip(ids[0], scene.test, strict=True) if all(id_ in i for i in ids)]
-    step = 1 if most is None else max(1, len(common) // most)
-    for id_, position in common[step // 2 :: step][:most]:
+    for id_, position in common if most is None else pick_middles(common, most):
         views = [(each.name, *load_view(each.folder / "renders", id_)) for each in runs]
         yield id_, compare(id_, scene.images[position], truths(id_), views)
 

@@ -18,6 +18,8 @@ from priors.types import Image
 
 SUFFIX = ".html"
 TEMPLATE = "page.html.j2"
+PICTURED = 4
+"""Frames that a page has pictures of, where there are many."""
 JPEG_QUALITY = 82
 """A comparison of 1240 px is then about 150 kB."""
 

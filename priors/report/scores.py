@@ -10,14 +10,12 @@ from eval.result import Result
 from priors.cache import Prior
 from priors.draw.comparison import compare
 from priors.draw.lines import Line, Plot
-from priors.report.page import Figure, Page, Picture, Section
-from priors.selection import select
+from priors.report.page import PICTURED, Figure, Page, Picture, Section
+from priors.selection import pick_middles, select
 from priors.types import Drive
 
 BY_RANGE = ("abs_rel", "rmse")
 """What is drawn by true distance."""
-PICTURED = 4
-"""Frames whose maps are on a page."""
 TILE_PX = 400
 """Width of each map there."""
 
@@ -71,9 +69,8 @@ def picture_frames(
     """
     cached = {id_ for prior in priors for id_ in prior.ids()}
     indices = [index for index in select(drive.ids, frames) if drive.ids[index] in cached]
-    step = max(1, len(indices) // PICTURED)
     pictures = []
-    for index in indices[step // 2 :: step][:PICTURED]:
+    for index in pick_middles(indices, PICTURED):
         frame = drive[index]
         rows = [(name, prior.read(frame.id)) for name, prior in zip(names, priors, strict=True) if prior.has(frame.id)]
         pictures.append(Picture(f"frame {frame.id}", compare(frame, rows, TILE_PX)))
