@@ -37,7 +37,7 @@ def translate(kind: type[Any], arguments: list[str]) -> list[str]:
         if not now:
             out.append(word)
             continue
-        err.print(f"{flag} is now {' '.join(now)}", markup=False)
+        err.print(f"{flag} is now {' '.join(now)}")
         if len(now) == 1:
             out.append(now[0] + equals + value)
         else:
