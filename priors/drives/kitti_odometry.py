@@ -38,6 +38,8 @@ from priors.errors import DataError
 from priors.geometry import invert
 from priors.types import Camera, Matrix, Sweep
 
+BELOW = 2
+"""How many levels below the data set's own folder its sequences are: sequences/, then a sequence."""
 CAMERAS = ("image_0", "image_1", "image_2", "image_3")
 SEQUENCES = tuple(f"{number:02}" for number in range(22))
 BASELINES_M = (0.53, 0.5395)
@@ -74,11 +76,12 @@ def _sequences(path: Path) -> list[Path]:
     folders = [path, *subfolders(path / "sequences"), *subfolders(path / "dataset" / "sequences")]
     if path.name == "sequences":
         folders += subfolders(path)
-    return [folder for folder in folders if (folder / "calib.txt").is_file() and _has_images(folder)]
+    return [folder for folder in folders if is_drive(folder)]
 
 
-def _has_images(folder: Path) -> bool:
-    return any((folder / name).is_dir() for name in CAMERAS)
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a sequence."""
+    return (folder / "calib.txt").is_file() and any((folder / name).is_dir() for name in CAMERAS)
 
 
 class KittiOdometry(CameraDrive):

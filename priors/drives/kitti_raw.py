@@ -46,6 +46,8 @@ from priors.types import Camera, Matrix, Sweep
 
 # Frames built in order share sweeps: 11 accumulated, and some workers ahead. 2 MB each.
 SWEEPS_KEPT = 24
+BELOW = 2
+"""How many levels below the data set's own folder its drives are: a date, then a drive."""
 CAMERAS = ("image_00", "image_01", "image_02", "image_03")
 DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 """Of KITTI's own recordings; others use its layout."""
@@ -54,6 +56,11 @@ DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 def recognises(path: Path) -> bool:
     """Tell whether the folder is a drive, a date or a folder of dates."""
     return bool(_drive_folders(path))
+
+
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a drive."""
+    return any((folder / name / "data").is_dir() for name in CAMERAS)
 
 
 def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
@@ -65,7 +72,7 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
 
 def _drive_folders(path: Path) -> list[Path]:
     """List the drives at path, or where it is none itself, one or two levels below."""
-    return search(path, lambda folder: any((folder / name / "data").is_dir() for name in CAMERAS), 2)
+    return search(path, is_drive, BELOW)
 
 
 @dataclass(frozen=True)
