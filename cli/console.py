@@ -1,6 +1,7 @@
 """What every command shares: one-line errors, exit codes, tables and progress on a terminal or in a pipe."""
 
 import errno
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,6 +21,7 @@ from rich.progress import (
 from cli.compiling import CompilingColumn, Watch
 from cli.terminal import err as err
 from cli.terminal import out as out
+from cli.terminal import silence
 from priors.errors import DataError, UsageError
 
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
@@ -43,6 +45,9 @@ def guarded(command: Callable[[], int]) -> int:
     except KeyboardInterrupt:
         err.print("interrupted: what was finished is kept; run the same command again to go on")
         return INTERRUPTED
+    except BrokenPipeError:  # nobody reads on: `priors list | head`
+        silence(sys.stdout)
+        return 0
     except OSError as error:
         err.complain(_told(error))
         return DATA_ERROR

@@ -46,6 +46,15 @@ def translate(kind: type[Any], arguments: list[str]) -> list[str]:
     return out
 
 
+def flags_of(kind: type[Any]) -> set[str]:
+    """Return the flags of a command's arguments, without the dashes; positional arguments are among them."""
+    return {
+        group.prefix + field.name.replace("_", "-")
+        for group in _groups(_Group(kind, "", ""))
+        for field in fields(group.kind)
+    }
+
+
 def _take_numbers(words: list[str], most: int) -> list[str]:
     """Remove the numbers that a flag was given, or None, from the words after it; returns the numbers."""
     if words[:1] == ["None"]:
