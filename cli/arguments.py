@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
+from cli import mistakes
 from cli.renamed import translate
 from priors import drives
 from priors.cache import Prior
@@ -66,4 +67,4 @@ def reopen_drive(prior: Prior, truth: Path | None) -> Drive:
 
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:
     """Parse a command's arguments into its dataclass, flags' earlier names too; --help shows its examples first."""
-    return tyro.cli(kind, prog=command, description=examples, args=translate(kind, arguments))
+    return mistakes.parse(kind, command, examples, translate(kind, arguments))

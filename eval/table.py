@@ -111,7 +111,7 @@ def show(results: Sequence[Result], keys: Sequence[str] | None = None, console: 
     if console.is_terminal:
         console.print(render(results, keys, console.width))
     else:
-        console.file.write(plain(results, keys))
+        console.print(plain(results, keys), end="", markup=False, highlight=False, soft_wrap=True)
 
 
 def plain(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:

@@ -123,5 +123,5 @@ def print_table(reports: Sequence[Report]) -> typeset.Table:
     if out.is_terminal:
         out.print(typeset.render(laid, out.width))
     else:
-        out.file.write(typeset.plain(laid))
+        out.write(typeset.plain(laid))
     return laid

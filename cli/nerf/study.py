@@ -106,7 +106,7 @@ def _make(args: StudyArguments, command: str) -> int:
     runner = FitRunner(drive, fit, args.frames, args.device, lpips, progress, fit_progress, command_of)
     outcomes = run_study(grid, args.out, runner, runner.settings, _tell)
     laid = study_table.lay_out(outcomes)
-    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.file.write(typeset.plain(laid))
+    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
     for path in study_table.save(outcomes, args.out, command):
         out.print(f"wrote {path}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0
@@ -114,7 +114,7 @@ def _make(args: StudyArguments, command: str) -> int:
 
 def _tell(outcome: Outcome) -> None:
     if outcome.report is None:
-        err.print(f"[bold red]{outcome.spec.name}:[/] {outcome.error}")
+        err.complain(outcome.error, outcome.spec.name)
     elif not outcome.fresh:
         err.print(f"{outcome.spec.name}: done before")
 

@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 import tyro
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
 from cli.arguments import DriveArguments, ThreadArguments, parse
@@ -72,7 +71,7 @@ def _build(args: BuildArguments) -> int:
     with progress(args.method, len(plan.todo)) as step:
         report = job.run(plan, args.workers, step, _note)
     for frame_id, error in sorted(report.failed.items()):
-        err.print(f"[bold red]frame {frame_id}:[/] {escape(error)}")
+        err.complain(error, f"frame {frame_id}")
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0
@@ -80,7 +79,7 @@ def _build(args: BuildArguments) -> int:
 
 def _note(line: str) -> None:
     """Tell what a method does before the first frame."""
-    err.print(line, markup=False)
+    err.print(line)
 
 
 def _with_methods() -> type[BuildArguments]:
@@ -95,9 +94,9 @@ def _print_plan(job: Job, plan: Plan) -> None:
     for index in plan.todo:
         out.print(f"  {job.drive.ids[index]}  compute")
     for frame_id, reason in plan.skipped.items():
-        out.print(f"  {frame_id}  skip: {reason}", markup=False)
+        out.print(f"  {frame_id}  skip: {reason}")
     for frame_id, error in plan.failed.items():
-        out.print(f"  {frame_id}  cannot be read: {error}", markup=False)
+        out.print(f"  {frame_id}  cannot be read: {error}")
     out.print(f"{len(plan.todo)} to compute, {len(plan.skipped)} skipped, {len(plan.failed)} cannot be read")
 
 

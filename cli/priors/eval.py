@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.markup import escape
 
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
@@ -114,7 +113,7 @@ class Output:
 
     def show(self, scored: Scored) -> None:
         """Print one drive's table and write its files."""
-        out.print(f"[bold]{scored.drive}[/]")
+        out.print(scored.drive, style="bold")
         table.show(scored.results, self.args.metrics, out)
         if self.args.ranges:
             _print_ranges(scored.results)
@@ -167,7 +166,7 @@ def _try_drive(priors: list[Prior], output: Output) -> bool:
     except DataError as error:
         if not output.several:
             raise
-        err.print(f"[bold red]{priors[0].folder.parent}:[/] {escape(str(error))}")
+        err.complain(error, priors[0].folder.parent)
         return False
     return True
 
