@@ -35,6 +35,7 @@ ROOMS = [
     "priors/advice",
     "priors/score",
     "priors/report",
+    "priors/view",
     "priors/export",
     "priors/street",
     "priors/learn",

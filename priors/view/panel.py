@@ -80,8 +80,8 @@ class DrivePanel:
         names = [*self.scene.priors, NONE] if self.scene.priors else [NONE]
         there = bool(self.scene.priors)
         with gui.add_folder("points", visible=there or "sweep" in self.scene.has):
-            self.prior = gui.add_dropdown("prior", names, names[0], visible=there)
-            self.colouring = gui.add_dropdown("colour", self._colourings(), "image", visible=there)
+            self.prior = gui.add_dropdown("prior", names, initial_value=names[0], visible=there)
+            self.colouring = gui.add_dropdown("colour", self._colourings(), initial_value="image", visible=there)
             self.legend = gui.add_image(legend("depth"), visible=False)
             self.confidence = gui.add_slider("least confidence", 0.0, 1.0, 0.01, 0.0, visible=there)
             self.farthest = gui.add_slider("farthest, m", NEAREST_M, FARTHEST_M, 5, FAR_M, visible=there)

@@ -108,7 +108,8 @@ class DriveScene:
     def show(self, choice: Choice) -> Shown:
         """Make the points of a choice; what cannot be read is a remark, and the rest is shown."""
         positions = self.together(choice)
-        most, remarks = max(1, self.most // len(positions)), []
+        most = max(1, self.most // len(positions))
+        remarks: list[str] = []
         points = [self._or_none(self._points, at, choice, most, remarks) for at in positions if choice.prior]
         sweeps = [self._or_none(self._sweep, at, choice, most, remarks) for at in positions if choice.sweeps]
         return Shown(join(points), join(sweeps), tuple(dict.fromkeys(remarks)))
