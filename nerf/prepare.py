@@ -170,6 +170,8 @@ class _Preparation:
         name, poses = self.drive.name, []
         for position in self.positions:
             frame = self.drive[position]
+            if frame.T_world_cam is None and "pose" in frame.missing:
+                raise DataError(f"{name}: frame {frame.id} has no pose: {frame.missing['pose']}")
             if frame.T_world_cam is None or not np.isfinite(frame.T_world_cam).all():
                 raise DataError(
                     f"{name}: frame {frame.id} has no pose: a field needs poses (`priors check` tells more)"

@@ -1,6 +1,6 @@
 """Which frames of a drive to work on: a range, a shard, and only those that moved."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -33,6 +33,11 @@ class Selection:
         parse_range(self.frames)
         parse_shard(self.shard)
         expect(0 <= self.min_motion < float("inf"), "--min-motion", self.min_motion, "metres, 0 or more")
+
+
+def in_order(ids: Iterable[str]) -> list[str]:
+    """Sort frame ids: those of digits only as numbers, 9 before 10 and 0009 with 9; the others behind them, as text."""
+    return sorted(ids, key=lambda id_: (0, int(id_), id_) if id_.isdecimal() else (1, 0, id_))
 
 
 def parse_range(frames: str | None, flag: str = "--frames") -> tuple[int, int]:

@@ -57,7 +57,9 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     Raises:
         DataError: the folder is missing, nothing recognises it, or it holds several drives and none is named.
     """
-    path = Path(path)
+    path = Path(path).expanduser()
+    if ".." in path.parts or not path.name:
+        path = Path(os.path.normpath(Path.cwd() / path))  # "." has no name, and nothing above it
     if not path.is_dir():
         raise DataError(f"{path}: " + ("is a file: name the drive's folder" if path.exists() else "no such folder"))
     name = _recognise(path) if dataset == "auto" else dataset
