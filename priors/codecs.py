@@ -165,12 +165,28 @@ def _read_bytes(path: Path) -> bytes:
 def _decode(path: Path, flags: int) -> npt.NDArray[Any]:
     data = _read_bytes(path)
     # OpenCV 4 fills what a truncated file lacks with zeros or grey, which would pass for "no value" or for a wall.
-    whole = not data.startswith(b"\x89PNG") or b"IEND" in data[-16:]
-    whole &= not data.startswith(b"\xff\xd8") or b"\xff\xd9" in data[-1024:]
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data and whole else None
+    # What follows the end mark is nobody's: cameras and downloads append it, decoders stop at the mark.
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data and _is_whole(data) else None
     if image is None:
         raise DataError(f"{path}: damaged image ({len(data)} bytes): download or build it again")
     return image
+
+
+def _is_whole(data: bytes) -> bool:
+    """Tell whether a PNG or JPEG has its end mark, whatever follows; other formats are the decoder's to judge."""
+    if data.startswith(b"\x89PNG"):
+        return _png_ends(data)
+    return not data.startswith(b"\xff\xd8") or b"\xff\xd9" in data[data.rfind(b"\xff\xda") :]
+
+
+def _png_ends(data: bytes) -> bool:
+    """Walk a PNG's chunks (length, name, content, checksum) to IEND."""
+    at = 8
+    while at + 12 <= len(data):
+        if data[at + 4 : at + 8] == b"IEND":
+            return True
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return False
 
 
 def _encode(path: Path, pixels: npt.NDArray[Any], options: list[int]) -> bytes:
@@ -178,6 +194,11 @@ def _encode(path: Path, pixels: npt.NDArray[Any], options: list[int]) -> bytes:
     if not done:
         raise DataError(f"{path}: OpenCV cannot write {pixels.dtype} {pixels.shape} as {path.suffix}")
     return data.tobytes()
+
+
+def as_grey(image: Image) -> Image:
+    """Return the image as (height, width), by the luma of ITU-R BT.601."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.uint8, copy=False)
 
 
 def as_rgb(image: Image) -> Image:

@@ -1,13 +1,13 @@
 """Which frames of a drive to work on: a range, a shard, and only those that moved."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
-from priors.errors import DataError, expect
+from priors.errors import DataError, UsageError, expect
 from priors.types import Frame
 
 Item = TypeVar("Item")
@@ -35,6 +35,11 @@ class Selection:
         expect(0 <= self.min_motion < float("inf"), "--min-motion", self.min_motion, "metres, 0 or more")
 
 
+def in_order(ids: Iterable[str]) -> list[str]:
+    """Sort frame ids: those of digits only as numbers, 9 before 10 and 0009 with 9; the others behind them, as text."""
+    return sorted(ids, key=lambda id_: (0, int(id_), id_) if id_.isdecimal() else (1, 0, id_))
+
+
 def parse_range(frames: str | None, flag: str = "--frames") -> tuple[int, int]:
     """Return the first number of a range a:b and the one after its last; DataError where it is none.
 
@@ -47,7 +52,7 @@ def parse_range(frames: str | None, flag: str = "--frames") -> tuple[int, int]:
         low = int(first) if first else 0
         return low, (int(last) if last else LARGEST_FRAME_NUMBER) if colon else low + 1
     except ValueError as error:
-        raise DataError(f"{flag} {frames}: expected a:b, for example 5:17") from error
+        raise UsageError(f"{flag} {frames}: expected a:b, for example 5:17") from error
 
 
 def select(ids: Sequence[str], frames: str | None) -> list[int]:
@@ -71,7 +76,7 @@ def parse_shard(text: str | None) -> tuple[int, int]:
     try:
         part, count = (int(word) for word in text.split("/"))
     except ValueError as error:
-        raise DataError(f"--shard {text}: expected i/n, for example 1/4") from error
+        raise UsageError(f"--shard {text}: expected i/n, for example 1/4") from error
     expect(1 <= part <= count, "--shard", text, "i/n with i from 1 to n")
     return part, count
 
@@ -101,7 +106,7 @@ def parse_hold_out(text: str) -> slice | int | None:
             raise ValueError("a step of 0")
         return cut
     except (ValueError, TypeError) as error:
-        raise DataError(f"--mono.hold-out {text}: expected start:stop:step, for example 9::10, or none") from error
+        raise UsageError(f"--mono.hold-out {text}: expected start:stop:step, for example 9::10, or none") from error
 
 
 def held_out(indices: Sequence[int], text: str) -> set[int]:

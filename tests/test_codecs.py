@@ -185,3 +185,17 @@ def test_paths_may_hold_any_letters(tmp_path: Path) -> None:
     assert codecs.read_image(folder / "画像.jpg").shape == (8, 8)
     assert codecs.read_float_map(folder / "é.pfm")[0, 0] == 1
     assert sorted(path.name for path in folder.iterdir()) == sorted(["größe.png", "画像.jpg", "é.pfm"])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_bytes_behind_an_image_are_nobodys_and_a_cut_one_is_damaged(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"image{suffix}"
+    codecs.write_image(path, np.random.default_rng(0).integers(0, 255, (32, 48, 3), dtype=np.uint8))
+    image, data = codecs.read_image(path), path.read_bytes()
+    for tail in (bytes(512), bytes(4096), b"IEND", b"\xff"):
+        path.write_bytes(data + tail)
+        assert np.array_equal(codecs.read_image(path), image)
+    for kept in (len(data) // 2, len(data) - 13):
+        path.write_bytes(data[:kept])
+        with pytest.raises(DataError, match="damaged image"):
+            codecs.read_image(path)

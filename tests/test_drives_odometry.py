@@ -87,9 +87,16 @@ def test_bad_pose_spoils_its_own_frame_only(odometry_root: Path) -> None:
     drive = open_drive(odometry_root)
     assert drive[1].T_world_cam is not None and drive[3].T_world_cam is not None
     with pytest.raises(DataError, match=r"06\.txt: line 3: a pose should be 12 finite numbers, found NaN"):
-        drive[2]
+        drive[2].pose()
     with pytest.raises(DataError, match=r"06\.txt: 4 poses, none for frame 000004"):
-        drive[4]
+        drive[4].pose()
+    assert drive[4].image().size  # what needs no pose goes on
+
+
+def test_a_linked_sequence_has_its_poses(odometry_root: Path, tmp_path: Path) -> None:
+    sequence = next(odometry_root.rglob("calib.txt")).parent
+    (tmp_path / "link").symlink_to(sequence)
+    assert np.array_equal(open_drive(tmp_path / "link")[1].pose(), open_drive(sequence)[1].pose())
 
 
 def test_sequence_without_poses(odometry_root: Path) -> None:

@@ -84,12 +84,17 @@ class CameraDrive(ABC):
 
     def __getitem__(self, index: int) -> Frame:
         id_ = self.ids[index]
+        missing = dict(self.missing(id_))
+        try:
+            T_world_cam = self.T_world_cam(id_)
+        except DataError as error:  # refused is only what needs the pose
+            T_world_cam, missing["pose"] = None, str(error)
         return Frame(
             id=id_,
             camera=self.camera,
             readers=self.readers(id_),
-            missing=self.missing(id_),
-            T_world_cam=self.T_world_cam(id_),
+            missing=missing,
+            T_world_cam=T_world_cam,
             T_cam_lidar=self.T_cam_lidar(id_),
             time_s=self.time_s(id_),
             baseline_m=self.baseline_m,

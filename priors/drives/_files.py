@@ -1,31 +1,49 @@
 """What every reader does with files: text to numbers, folders to ids, digests. Errors name the file."""
 
+import codecs as codecs_of_text
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from priors import codecs
 from priors.errors import DataError
+from priors.selection import in_order
 from priors.types import Camera, Image, Matrix
+
+Kind = TypeVar("Kind")
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
 def read_text(path: Path) -> str:
-    """Read a small text file; DataError where it is missing or not text."""
+    """Read a small text file; DataError where it is missing or not text.
+
+    Editors on Windows put a byte order mark first, or write UTF-16. A byte that is no UTF-8 (an umlaut in a comment)
+    is read as Latin-1: names and numbers are ASCII and the same in both.
+    """
     try:
-        return path.read_text()
+        data = path.read_bytes()
     except FileNotFoundError as error:
         raise DataError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read as text ({error})") from error
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read as text ({error.strerror})") from error
+    wide = data.startswith((codecs_of_text.BOM_UTF16_LE, codecs_of_text.BOM_UTF16_BE))
+    for encoding in ("utf-16",) if wide else ("utf-8-sig", "latin-1"):
+        try:
+            text = data.decode(encoding)
+        except UnicodeDecodeError:
+            continue
+        if "\0" not in text:
+            return text.replace("\r\n", "\n").replace("\r", "\n")
+    raise DataError(f"{path}: is not text: write it again as plain UTF-8")
 
 
 def read_json(path: Path) -> dict[str, Any]:
@@ -143,13 +161,36 @@ def stems(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
     """Map file stem (the frame id) to file, for files with one of the suffixes; empty where there is no folder."""
     try:
         with os.scandir(folder) as entries:
-            names = sorted(entry.name for entry in entries)
+            names = [entry.name for entry in entries]
     except (FileNotFoundError, NotADirectoryError):
         return {}
     except OSError as error:
         raise DataError(f"{folder}: cannot be listed ({error.strerror})") from error
     wanted = tuple(suffixes)
-    return {n.rpartition(".")[0]: folder / n for n in names if n.lower().endswith(wanted) and n[0] != "."}
+    found = {n.rpartition(".")[0]: folder / n for n in sorted(names) if n.lower().endswith(wanted) and n[0] != "."}
+    return {id_: found[id_] for id_ in in_order(found)}
+
+
+def joined(ids: Iterable[str], paths: Mapping[str, Kind]) -> dict[str, Kind]:
+    """Return files by the frame ids that they belong to: by equal stems, and 7 with 000007 where both are numbers.
+
+    A number that several files have is joined by equal stems only. Files of no frame keep their own stem.
+    """
+    numbers = Counter(int(stem) for stem in paths if stem.isdecimal())
+    by_number = {int(id_): id_ for id_ in ids if id_.isdecimal()}
+    own = set(ids)
+    named = {}
+    for stem, path in paths.items():
+        number = int(stem) if stem.isdecimal() else -1
+        alike = stem not in own and numbers[number] == 1
+        named[by_number.get(number, stem) if alike else stem] = path
+    return named
+
+
+def beside(folder: Path, name: str, up: int = 0) -> Path:
+    """Return the file `name` beside a folder, or `up` levels higher: as the folder is named, else as links lead."""
+    places = [list(one.parents)[up] / name for one in (folder.absolute(), folder.resolve()) if len(one.parents) > up]
+    return next((place for place in places if place.exists()), places[0])
 
 
 def follow(path: Path) -> Path:

@@ -30,6 +30,7 @@ class Track:
 
     def __init__(self, folder: Path) -> None:
         self.files = stems(folder / "data", [".txt"])
+        self._by_number = {int(id_): id_ for id_ in self.files if id_.isdecimal()}
         self._stamps_file = folder / "timestamps.txt"
         self._records: dict[str, Matrix] = {}
 
@@ -40,7 +41,12 @@ class Track:
 
     def T_world_imu(self, id_: str) -> Matrix | None:
         """Return the IMU's pose (4, 4) when the frame was taken, metres; None where it has no record."""
-        return self._T_world_mercator @ self._at_frame(id_) if id_ in self.files else None
+        own = id_ if id_ in self.files else self.id_of(int(id_)) if id_.isdecimal() else ""
+        return self._T_world_mercator @ self._at_frame(own) if own in self.files else None
+
+    def id_of(self, number: int) -> str:
+        """Return the id of a number's record; nothing where it has none."""
+        return self._by_number.get(number, "")
 
     def record(self, id_: str) -> Matrix:
         """Return the pose (4, 4) in a frame's file, in Mercator metres."""
@@ -53,7 +59,7 @@ class Track:
         T, number = self.record(id_), int(id_) if id_.isdecimal() else -1
         late = self._late_s.get(number, 0.0)
         for step in (1, -1) if late > 0 else (-1, 1):
-            beside = f"{number + step:0{len(id_)}d}"
+            beside = self.id_of(number + step)
             if late == 0 or beside not in self.files or number + step not in self._stamps:
                 continue
             try:

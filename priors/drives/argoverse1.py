@@ -45,6 +45,8 @@ from priors.errors import DataError
 from priors.geometry import convert_disparity, invert
 from priors.types import Depth, Image, Matrix, Sweep
 
+BELOW = 3
+"""How many levels below a folder its logs may be: a release, a split, then a log."""
 TRACKING, STEREO = "vehicle_calibration_info.json", "vehicle_calibration_stereo_info.json"
 PAIR = ("stereo_front_left", "stereo_front_right")
 PAIR_RECT = ("stereo_front_left_rect", "stereo_front_right_rect")
@@ -56,15 +58,16 @@ POSE_GAP_NS = 200_000_000  # poses farther apart are not interpolated
 
 def recognises(path: Path) -> bool:
     """Tell whether the folder is a log, or holds logs up to three levels below."""
-    return bool(search(path, _is_log, 3))
+    return bool(search(path, is_drive, BELOW))
 
 
 def open_drive(path: Path, options: DriveOptions) -> "Argoverse1":
     """Open one log; path is its folder, or a parent of it with options.drive."""
-    return Argoverse1(choose(search(path, _is_log, 3), options.drive, path, f"a log ({TRACKING})"), options)
+    return Argoverse1(choose(search(path, is_drive, BELOW), options.drive, path, f"a log ({TRACKING})"), options)
 
 
-def _is_log(folder: Path) -> bool:
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a log."""
     return (folder / TRACKING).is_file() or (folder / STEREO).is_file()
 
 

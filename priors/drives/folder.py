@@ -9,10 +9,13 @@ the usual error of their rectification (docs/methods/stereo.md).
 
 - Files are joined by their stem, the frame id.
 - depth/ is truth, sparse/ is completion's input: uint16 PNG (metres x 256), .npy, .npz or .pfm in metres, 0 = none.
+- Numbers sort and join as numbers: 9 before 10, and 7.png with 000007.png.
 - poses.txt holds one T_world_cam of the left camera a line: 12 numbers, a row-major (3, 4), OpenCV axes, metres. A line
-  may begin with the frame id; without ids there must be as many lines as left images, in their sorted order.
+  may begin with the frame id; without ids there must be as many lines as left images, in their order.
+  Lines that begin with # are comments.
 """
 
+from collections import Counter
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -25,6 +28,7 @@ from priors.drives._files import (
     check_baseline,
     first_size,
     follow,
+    joined,
     parse_pose,
     read_json,
     read_text,
@@ -64,8 +68,9 @@ class Folder(CameraDrive):
         self.images = stems(follow(self.folder / camera), IMAGE_SUFFIXES)
         if not self.images:
             raise DataError(f"{folder / camera}: no PNG or JPEG images: put the {camera} images there")
-        self.others = stems(follow(self.folder / partner), IMAGE_SUFFIXES)
-        self.maps = {what: stems(follow(self.folder / name), MAP_SUFFIXES) for what, name in MAPS.items()}
+        self.others = joined(self.images, stems(follow(self.folder / partner), IMAGE_SUFFIXES))
+        maps = {what: stems(follow(self.folder / name), MAP_SUFFIXES) for what, name in MAPS.items()}
+        self.maps = {what: joined(self.images, paths) for what, paths in maps.items()}
         self.camera, self.baseline_m, self.rig = self._read_calibration()
 
     def sources(self) -> list[Path]:
@@ -75,7 +80,11 @@ class Folder(CameraDrive):
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each kind of file has, for the audit."""
-        return {"other": list(self.others), "depth": list(self.maps["truth"]), "pose": list(self._pose_lines)}
+        try:
+            posed = list(self._pose_lines)
+        except DataError:  # told of each frame
+            posed = []
+        return {"other": list(self.others), "depth": list(self.maps["truth"]), "pose": posed}
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
@@ -122,13 +131,19 @@ class Folder(CameraDrive):
         path = self.folder / "poses.txt"
         if not path.is_file():
             return {}
-        lines = [(n, line) for n, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
+        numbered = enumerate(read_text(path).splitlines(), 1)
+        lines = [(n, line) for n, line in numbered if line.strip() and not line.lstrip().startswith("#")]
         if lines and all(len(line.split()) == 13 for _, line in lines):
-            return {line.split()[0]: (n, line.split(maxsplit=1)[1]) for n, line in lines}
+            by_id = {line.split()[0]: (n, line.split(maxsplit=1)[1]) for n, line in lines}
+            return joined(self.images, by_id)
         lefts = list(stems(follow(self.folder / "left"), IMAGE_SUFFIXES))
         if len(lines) != len(lefts):
             counts = f"{len(lines)} poses for {len(lefts)} left images"
-            raise DataError(f"{path}: {counts}: begin each line with its frame id, or give one line an image")
+            widths = Counter(len(line.split()) for _, line in lines)
+            wanted = "begin each line with its frame id, or give one line an image"
+            if widths[13]:
+                wanted = f"{len(lines) - widths[13]} lines lack the frame id that the others begin with"
+            raise DataError(f"{path}: {counts}: {wanted}")
         return dict(zip(lefts, lines, strict=True))
 
 

@@ -21,9 +21,11 @@ from priors.drives import CameraDrive, DriveOptions, _kitti_maps
 from priors.drives._camera_drive import Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
+    beside,
     choose,
     first_size,
     follow,
+    joined,
     need,
     parse_pose,
     read_key_values,
@@ -38,6 +40,8 @@ from priors.errors import DataError
 from priors.geometry import invert
 from priors.types import Camera, Matrix, Sweep
 
+BELOW = 2
+"""How many levels below the data set's own folder its sequences are: sequences/, then a sequence."""
 CAMERAS = ("image_0", "image_1", "image_2", "image_3")
 SEQUENCES = tuple(f"{number:02}" for number in range(22))
 BASELINES_M = (0.53, 0.5395)
@@ -74,11 +78,12 @@ def _sequences(path: Path) -> list[Path]:
     folders = [path, *subfolders(path / "sequences"), *subfolders(path / "dataset" / "sequences")]
     if path.name == "sequences":
         folders += subfolders(path)
-    return [folder for folder in folders if (folder / "calib.txt").is_file() and _has_images(folder)]
+    return [folder for folder in folders if is_drive(folder)]
 
 
-def _has_images(folder: Path) -> bool:
-    return any((folder / name).is_dir() for name in CAMERAS)
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a sequence."""
+    return (folder / "calib.txt").is_file() and any((folder / name).is_dir() for name in CAMERAS)
 
 
 class KittiOdometry(CameraDrive):
@@ -90,11 +95,13 @@ class KittiOdometry(CameraDrive):
     def __init__(self, folder: Path, camera: str, truth: Path | None = None) -> None:
         super().__init__(folder.absolute(), camera, truth)
         partner = self.paired_camera()
-        self.images, self.others = self._list_images(camera), self._list_images(partner)
+        self.images = self._list_images(camera)
+        self.others = joined(self.images, self._list_images(partner))
         if not self.images:
             others = ", ".join(name for name in CAMERAS if (folder / name).is_dir())
             raise DataError(f"{folder / camera}: no images: download {_image_zip(camera)} (found {others})")
-        self._sweeps = stems(follow(self.folder / "velodyne"), [".bin"])
+        self._sweeps = joined(self.images, stems(follow(self.folder / "velodyne"), [".bin"]))
+        self._by_number = {int(id_): id_ for id_ in {**self._sweeps, **self.images} if id_.isdecimal()}
         self._calibration = read_key_values(self.folder / "calib.txt")
         K, self._T_cam_cam0 = self._projection(camera)
         self.camera = Camera(K, first_size(self.images.values()))
@@ -120,7 +127,7 @@ class KittiOdometry(CameraDrive):
         """Return what can be read of a frame: also sweeps."""
         readers = super().readers(id_)
         if self._sweeps and self._T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
+            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset)
         return readers
 
     def T_world_cam(self, id_: str) -> Matrix | None:
@@ -134,7 +141,7 @@ class KittiOdometry(CameraDrive):
 
     def time_s(self, id_: str) -> float | None:
         """Return the time that times.txt tells."""
-        return self._times.get(id_)
+        return self._times.get(int(id_))
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and which zip has it."""
@@ -191,7 +198,7 @@ class KittiOdometry(CameraDrive):
 
     @property
     def _pose_file(self) -> Path:
-        return self.folder.parent.parent / "poses" / f"{self.folder.name}.txt"
+        return beside(self.folder, f"poses/{self.folder.resolve().name}.txt", 1)
 
     @cached_property
     def _pose_lines(self) -> list[str]:
@@ -210,18 +217,18 @@ class KittiOdometry(CameraDrive):
         return parse_pose(lines[number], f"{self._pose_file}: line {number + 1}")
 
     @cached_property
-    def _times(self) -> dict[str, float]:
-        """Seconds since the first frame, by frame id; empty without times.txt."""
-        path, width = self.folder / "times.txt", len(self.ids[0])
+    def _times(self) -> dict[int, float]:
+        """Seconds since the first frame, by frame number; empty without times.txt."""
+        path = self.folder / "times.txt"
         if not path.is_file():
             return {}
         try:
-            return {f"{n:0{width}d}": float(line) for n, line in enumerate(read_text(path).split())}
+            return {n: float(line) for n, line in enumerate(read_text(path).split())}
         except ValueError as error:
             raise DataError(f"{path}: expected one number a line ({error}): download it again") from error
 
-    def _read_sweep(self, number: int, width: int) -> Sweep | None:
-        id_ = f"{number:0{width}d}"
+    def _read_sweep(self, number: int) -> Sweep | None:
+        id_ = self._by_number.get(number, "")
         if id_ not in self._sweeps or self._T_cam0_velo is None:
             return None
         T_world_cam0 = self._T_world_cam0(id_)

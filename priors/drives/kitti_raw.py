@@ -27,8 +27,10 @@ from priors.drives import CameraDrive, DriveOptions, _kitti_maps
 from priors.drives._camera_drive import Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
+    beside,
     choose,
     follow,
+    joined,
     need,
     read_key_values,
     read_sized,
@@ -46,6 +48,9 @@ from priors.types import Camera, Matrix, Sweep
 
 # Frames built in order share sweeps: 11 accumulated, and some workers ahead. 2 MB each.
 SWEEPS_KEPT = 24
+BELOW = 2
+"""How many levels below the data set's own folder its drives are: a date, then a drive."""
+CALIBRATION = "download the date's calibration again"
 CAMERAS = ("image_00", "image_01", "image_02", "image_03")
 DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 """Of KITTI's own recordings; others use its layout."""
@@ -54,6 +59,11 @@ DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 def recognises(path: Path) -> bool:
     """Tell whether the folder is a drive, a date or a folder of dates."""
     return bool(_drive_folders(path))
+
+
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a drive."""
+    return any((folder / name / "data").is_dir() for name in CAMERAS)
 
 
 def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
@@ -65,7 +75,7 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
 
 def _drive_folders(path: Path) -> list[Path]:
     """List the drives at path, or where it is none itself, one or two levels below."""
-    return search(path, lambda folder: any((folder / name / "data").is_dir() for name in CAMERAS), 2)
+    return search(path, is_drive, BELOW)
 
 
 @dataclass(frozen=True)
@@ -87,12 +97,15 @@ class KittiRaw(CameraDrive):
     def __init__(self, folder: Path, camera: str = "image_02", truth: Path | None = None) -> None:
         super().__init__(folder, camera, truth)
         partner = self.paired_camera()
-        self.images, self.others = _images(folder, camera), _images(folder, partner)
+        self.images = _images(folder, camera)
+        self.others = joined(self.images, _images(folder, partner))
         if not self.images:
             raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
-        self._sweeps = stems(follow(folder / "velodyne_points") / "data", [".bin"])
+        self._sweeps = joined(self.images, stems(follow(folder / "velodyne_points") / "data", [".bin"]))
+        self._by_number = {int(id_): id_ for id_ in {**self._sweeps, **self.images} if id_.isdecimal()}
         self._track = Track(follow(folder / "oxts"))
-        self.calibration = read_calibration(folder.parent, camera)
+        self._date = beside(folder, "calib_cam_to_cam.txt").parent
+        self.calibration = read_calibration(self._date, camera)
         self.camera = self.calibration.camera
         self.baseline_m = self._read_baseline(partner) if self.others else None
         self.rig = KITTI if folder.name.startswith(DATES) else None
@@ -105,7 +118,7 @@ class KittiRaw(CameraDrive):
 
     def sources(self) -> list[Path]:
         """List the files of calibration and poses."""
-        return [*sorted(self.folder.parent.glob("calib_*.txt")), *self._track.sources]
+        return [*sorted(self._date.glob("calib_*.txt")), *self._track.sources]
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each sensor has, for the audit."""
@@ -115,16 +128,22 @@ class KittiRaw(CameraDrive):
         """Return what can be read of a frame: also sweeps, and the street's sky masks."""
         readers = super().readers(id_)
         if self._sweeps and self.calibration.T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
+            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset)
         if id_ in self._skies:
             readers["sky"] = lambda: read_sized(self._skies[id_], self.camera) > 127
         return readers
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
+        sweep = f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data"
+        if self._sweeps:
+            sweep = (
+                f"{self._date / 'calib_velo_to_cam.txt'}: no such file, so the sweeps cannot be placed: {CALIBRATION}"
+            )
         return {
+            **self._lacking_pose,
             "other": f"no image {self.partner}/data/{id_} in {self.folder}: stereo needs both cameras",
-            "sweep": f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data",
+            "sweep": sweep,
             **self._lacking_maps,
             "sky": f"no sky masks beside {self.folder.name}: KITTI has none, the embedded street has",
         }
@@ -159,9 +178,9 @@ class KittiRaw(CameraDrive):
         return read_times(path) if path.exists() else {}
 
     def _read_baseline(self, partner: str) -> float:
-        T_other_cam0 = read_calibration(self.folder.parent, partner).T_cam_cam0
+        T_other_cam0 = read_calibration(self._date, partner).T_cam_cam0
         right_m = float(self.calibration.T_cam_cam0[0, 3] - T_other_cam0[0, 3])
-        return self.baseline(right_m, self.folder.parent / "calib_cam_to_cam.txt")
+        return self.baseline(right_m, self._date / "calib_cam_to_cam.txt")
 
     def _find_maps(self) -> dict[str, dict[str, Path]]:
         """Find the drive's depth maps: truth and sparse, by frame id."""
@@ -182,18 +201,27 @@ class KittiRaw(CameraDrive):
 
     @property
     def _above(self) -> list[Path]:
-        return list(self.folder.absolute().parents)[:3]
+        named, meant = self.folder.absolute(), self.folder.resolve()
+        return list(dict.fromkeys([*list(named.parents)[:3], *list(meant.parents)[:3]]))
+
+    @cached_property
+    def _lacking_pose(self) -> dict[str, str]:
+        """Say which file the poses lack, where there are oxts records; nothing where all are there, or no records."""
+        for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
+            if self._track.files and not (self._date / name).exists():
+                return {"pose": f"{self._date / name}: no such file, so oxts tells no camera's pose: {CALIBRATION}"}
+        return {}
 
     def _T_world_velo(self, id_: str) -> Matrix | None:
         T_velo_imu, T_world_imu = self.calibration.T_velo_imu, self._track.T_world_imu(id_)
         return None if T_velo_imu is None or T_world_imu is None else T_world_imu @ invert(T_velo_imu)
 
-    def _load_sweep(self, number: int, width: int) -> Sweep | None:
-        id_ = f"{number:0{width}d}"
+    def _load_sweep(self, number: int) -> Sweep | None:
+        id_ = self._by_number.get(number, "")
         if id_ not in self._sweeps:
             return None
         xyz_m = read_sweep_file(self._sweeps[id_])
-        velocity = self._velocity(number, width)
+        velocity = self._velocity(number)
         time_s = None
         if velocity is not None:
             azimuth = np.arctan2(xyz_m[:, 1], xyz_m[:, 0])
@@ -202,9 +230,9 @@ class KittiRaw(CameraDrive):
         xyz_m.flags.writeable = False  # sweeps are shared
         return Sweep(xyz_m, self._T_world_velo(id_), time_s, velocity)
 
-    def _velocity(self, number: int, width: int) -> Matrix | None:
+    def _velocity(self, number: int) -> Matrix | None:
         """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame."""
-        around = [(k, self._pose_or_none(f"{number + k:0{width}d}")) for k in (-1, 0, 1)]
+        around = [(k, self._pose_or_none(number + k)) for k in (-1, 0, 1)]
         poses = [(k, pose) for k, pose in around if pose is not None]
         if len(poses) < 2:
             return None
@@ -213,10 +241,10 @@ class KittiRaw(CameraDrive):
         T_a_b = invert(T_world_a) @ T_world_b
         return np.concatenate([T_a_b[:3, 3], Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()]) / seconds
 
-    def _pose_or_none(self, id_: str) -> Matrix | None:
+    def _pose_or_none(self, number: int) -> Matrix | None:
         """A neighbour's pose; a damaged one is as good as none here, and an error at its own frame."""
         try:
-            return self._T_world_velo(id_)
+            return self._T_world_velo(self._track.id_of(number))
         except DataError:
             return None
 

@@ -63,7 +63,9 @@ class Lidar(Method):
     @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
         """Return the config as it will work on this drive: without poses or a second camera, parts are off."""
-        sweeps = self.sweeps if frame.T_world_cam is not None else 1
+        # A pose that is missing by mistake is told for each frame, not left out of the config.
+        known = frame.T_world_cam is not None or "pose" in frame.missing
+        sweeps = self.sweeps if known else 1
         return replace(self, sweeps=sweeps, stereo=self.stereo and frame.baseline_m is not None)
 
     @threads.limited(None)
@@ -89,6 +91,8 @@ def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
     """
     from priors.kernels.zbuffer import splat
 
+    if count > 1 and frame.T_world_cam is None and "pose" in frame.missing:
+        raise DataError(f"frame {frame.id}: {frame.missing['pose']}; or take its own sweep alone: --lidar.sweeps 1")
     depth_m = np.full(frame.camera.size, np.inf, dtype=np.float32)
     sources = np.full(frame.camera.size, NO_SOURCE)
     free_m = np.zeros((0, 0), dtype=np.float32)  # not known

@@ -1,0 +1,35 @@
+"""What the two views share: their address, and how they end."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from cli.console import out
+from priors.view import server
+
+
+@dataclass(frozen=True)
+class AddressArguments:
+    """Where a view is served."""
+
+    port: int | None = field(default=None, kw_only=True)
+    """Port to listen on; default: the first free one from 8080 on."""
+    host: str = field(default="localhost", kw_only=True)
+    """Address to listen on; 0.0.0.0: every one of this machine, so that others in its network can look too."""
+
+    def __post_init__(self) -> None:
+        server.check_port(self.port)
+
+    def serve(self, title: str, open_panel: Callable[[Any], Callable[[], BaseException | None]]) -> int:
+        """Serve until Ctrl-C; returns the exit code.
+
+        Args:
+            title: of the panel in the browser.
+            open_panel: puts the panel into viser's server; returns what tells a fault of the work behind it.
+        """
+        with server.opened(self.host, self.port, title) as (opened, address):
+            fault = open_panel(opened)
+            out.print(f"open {address} in a browser; Ctrl-C ends the view", soft_wrap=True)
+            server.wait(fault)
+        out.print("the view has ended")
+        return 0
