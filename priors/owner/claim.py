@@ -1,6 +1,6 @@
 """Claims: a small file says who has something in hand. It is touched every 10 s, and dead when that stops.
 
-    with claim.hold(run.folder / ".owner", what=str(run.folder)) as held:     DataError where another has it
+    with claim.hold(run.folder / ".owner", what=str(run.folder), by_launch=True) as held:     DataError: another has it
         ...
         if held.lost: ...             another took it, because this process stood still for more than a minute
 
@@ -9,8 +9,8 @@
     held.release()
 
 An owner is a host, a process and a heartbeat. A claim is dead when its file was not touched for DEAD_S, and at once
-where its process ended on this host. A dead claim is anybody's. Processes of one launch (`WORLD_SIZE` above 1) are one
-owner: each of them gets the claim.
+where its process ended on this host. A dead claim is anybody's. With `by_launch`, processes of one launch (`WORLD_SIZE`
+above 1) are one owner: each of them gets the claim.
 """
 
 import fcntl
@@ -47,7 +47,7 @@ class Owner:
     @property
     def alive(self) -> bool:
         """Whether the claim still holds."""
-        if self.silent_s > DEAD_S or (self.process is not None and self.process.has_ended):
+        if abs(self.silent_s) > DEAD_S or (self.process is not None and self.process.has_ended):
             return False
         return not (self.process is not None and self.process.is_me and self.token not in _held)
 
@@ -95,11 +95,12 @@ _starting = threading.Lock()
 _beating: tuple[int, threading.Thread] | None = None
 
 
-def take(path: Path) -> Claim | None:
+def take(path: Path, *, by_launch: bool = False) -> Claim | None:
     """Claim what a file stands for; None where another owner has it.
 
     Args:
-        path: the claim's file; its folder is made where there is none. No other file is written.
+        path: the claim's file; its folder is made where there is none.
+        by_launch: whether all processes of this process's launch may have it together.
 
     Raises:
         OSError: the folder cannot be written.
@@ -107,7 +108,7 @@ def take(path: Path) -> Claim | None:
     claim = Claim(path)
     _held[claim.token] = claim
     try:
-        owned = _create(claim) or _join_or_replace(claim)
+        owned = _create(claim) or (by_launch and _join(claim)) or _replace(claim)
     except BaseException:
         _held.pop(claim.token, None)
         raise
@@ -119,18 +120,19 @@ def take(path: Path) -> Claim | None:
 
 
 @contextmanager
-def hold(path: Path, what: str) -> Iterator[Claim]:
+def hold(path: Path, what: str, *, by_launch: bool = False) -> Iterator[Claim]:
     """Claim what a file stands for while the block runs.
 
     Args:
         path: the claim's file.
         what: what is claimed, for the error.
+        by_launch: whether all processes of this process's launch may have it together.
 
     Raises:
         DataError: another owner has it; the one line names that.
         OSError: the folder cannot be written.
     """
-    claim = take(path)
+    claim = take(path, by_launch=by_launch)
     if claim is None:
         raise DataError(f"{what}: {owner_of(path) or 'another process'} has it in hand: wait for it, or stop it")
     with claim:
@@ -186,17 +188,20 @@ def _link(temporary: Path, path: Path) -> bool:
             return False
 
 
-def _join_or_replace(claim: Claim) -> bool:
-    """Join a launch's claim, or take a dead one over; False where it is another's."""
-    owner = _read(claim.path)
-    if owner is not None and owner.alive:
-        return owner.process is not None and owner.process.is_partner and not owner.process.is_me
-    with _alone(claim.path.parent):
-        owner = _read(claim.path)
-        if owner is not None and owner.alive:
+def _join(claim: Claim) -> bool:
+    """Tell whether a living process of the same launch has it: then this one has it too."""
+    owner = owner_of(claim.path)
+    return owner is not None and owner.process is not None and owner.process.is_partner and not owner.process.is_me
+
+
+def _replace(claim: Claim) -> bool:
+    """Take a dead claim over; False where a living owner has it."""
+    if owner_of(claim.path) is not None:
+        return False
+    with _alone(claim.path.parent):  # of several who see it dead, the first gets it
+        if owner_of(claim.path) is not None:
             return False
-        with suppress(FileNotFoundError):
-            claim.path.unlink()
+        claim.path.unlink(missing_ok=True)
         return _create(claim)
 
 
