@@ -19,7 +19,7 @@ from priors import drives
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.machine import threads
-from priors.naming import label
+from priors.naming import labels
 from priors.selection import select
 from priors.types import Drive
 
@@ -144,7 +144,7 @@ def score_pairs(
     prior = pairs.prior
     if pairs.against is not None:
         protocol = replace(protocol, truth=pairs.against.name)
-    info = {"prior": label(prior) if name is None else name, "drive": pairs.drive.name, "folder": prior.name}
+    info = {"prior": labels([prior])[0] if name is None else name, "drive": pairs.drive.name, "folder": prior.name}
     parts: list[ScoredPixels] = []
     kept = keep_pixels and (prior.folder / "confidence").is_dir()
     with threads.limited(threads.count()):

@@ -64,6 +64,8 @@ class ScoreArguments:
     """Score against this prior instead of the drive's truth."""
     metrics: tuple[str, ...] | None = None
     """Columns of the table, e.g. abs_rel rmse d1; default: the protocol's usual ones."""
+    long: bool = False
+    """Name each prior with every setting that is not usual, not only with what differs between rows."""
     ranges: bool = False
     """Also print AbsRel and RMSE by true distance."""
     curves: Path | None = None
@@ -181,7 +183,7 @@ def _try_drive(priors: list[Prior], output: Output) -> bool:
 
 def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scored:
     """Score the priors of one drive."""
-    drive, names = reopen_drive(priors[0], args.truth, args.data), labels(priors)
+    drive, names = reopen_drive(priors[0], args.truth, args.data), labels(priors, args.long)
     against = None if args.against is None else cache.only(args.against)
     pictures = picture_frames(drive, priors, names, args.frames) if args.page else []
     scored = Scored([], {}, pictures)
