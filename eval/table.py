@@ -55,6 +55,9 @@ PROTOCOL_COLUMNS = {
     "stereo2015": ("density", "epe", "d1", "bad_1", "bad_2", "bad_3", "density_image"),
 }
 """What the readers of a protocol expect to see; DEPTH_COLUMNS for all others."""
+USUAL_BRIEF = ("abs_rel", "rmse", "delta_1", "density")
+BRIEF_COLUMNS = {"kitti-completion": ("rmse", "mae", "density"), "stereo2015": ("epe", "d1", "density")}
+"""What they look at first, where there is no room for more; USUAL_BRIEF for all others."""
 
 
 def table_of(results: Sequence[Result], keys: Sequence[str] | None = None) -> Table:
@@ -109,9 +112,17 @@ def show(results: Sequence[Result], keys: Sequence[str] | None = None, console: 
     """Print the table; plain aligned text where the output is no terminal."""
     console = console or Console()
     if console.is_terminal:
+        fitting = render(results, keys, console.width)
+        if keys is None and len(fitting.columns) < len(render(results).columns):
+            keys = brief_columns(results)
         console.print(render(results, keys, console.width))
     else:
         console.print(plain(results, keys), end="", markup=False, highlight=False, soft_wrap=True)
+
+
+def brief_columns(results: Sequence[Result]) -> tuple[str, ...]:
+    """Return what the readers of a protocol look at first, for a narrow terminal; --metrics shows the rest."""
+    return BRIEF_COLUMNS.get(results[0].protocol.name, USUAL_BRIEF)
 
 
 def plain(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:

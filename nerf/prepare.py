@@ -75,6 +75,15 @@ def open_scene(
     return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test)
 
 
+def is_prepared(drive: Drive, config: SceneConfig, folder: Path) -> bool:
+    """Tell whether these frames of just this drive, by its fingerprint, were copied into the folder before."""
+    try:
+        positions = select(drive.ids, config.frames)
+    except DataError:
+        return False
+    return _Preparation(drive, positions, config.filters, folder, silent).home.is_dir()
+
+
 @dataclass(frozen=True)
 class _Preparation:
     """The frames at `positions` of a drive, on their way into files."""

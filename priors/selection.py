@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from priors.errors import DataError, expect
+from priors.errors import DataError, UsageError, expect
 from priors.types import Frame
 
 Item = TypeVar("Item")
@@ -52,7 +52,7 @@ def parse_range(frames: str | None, flag: str = "--frames") -> tuple[int, int]:
         low = int(first) if first else 0
         return low, (int(last) if last else LARGEST_FRAME_NUMBER) if colon else low + 1
     except ValueError as error:
-        raise DataError(f"{flag} {frames}: expected a:b, for example 5:17") from error
+        raise UsageError(f"{flag} {frames}: expected a:b, for example 5:17") from error
 
 
 def select(ids: Sequence[str], frames: str | None) -> list[int]:
@@ -76,7 +76,7 @@ def parse_shard(text: str | None) -> tuple[int, int]:
     try:
         part, count = (int(word) for word in text.split("/"))
     except ValueError as error:
-        raise DataError(f"--shard {text}: expected i/n, for example 1/4") from error
+        raise UsageError(f"--shard {text}: expected i/n, for example 1/4") from error
     expect(1 <= part <= count, "--shard", text, "i/n with i from 1 to n")
     return part, count
 
@@ -106,7 +106,7 @@ def parse_hold_out(text: str) -> slice | int | None:
             raise ValueError("a step of 0")
         return cut
     except (ValueError, TypeError) as error:
-        raise DataError(f"--mono.hold-out {text}: expected start:stop:step, for example 9::10, or none") from error
+        raise UsageError(f"--mono.hold-out {text}: expected start:stop:step, for example 9::10, or none") from error
 
 
 def held_out(indices: Sequence[int], text: str) -> set[int]:

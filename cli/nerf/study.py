@@ -97,7 +97,7 @@ def run(arguments: list[str]) -> int:
 def _make(args: StudyArguments, command: str) -> int:
     timed = None if args.steps is not None else seconds(args.time)
     fit = FitConfig(losses=args.losses, steps=args.steps, seconds=timed)
-    drive, grid = args.open(), args.grid()
+    drive, grid = args.open(["nerf", "study"]), args.grid()
 
     def command_of(spec: RunSpec, folder: Path) -> str:
         return _command(args, spec, folder)
@@ -121,7 +121,18 @@ def _tell(outcome: Outcome) -> None:
 
 def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     """Write the command that makes one run alone."""
-    parts = ["nerf", "fit", str(args.data), "--field", spec.field, "--views", spec.views, "--run", str(folder)]
+    data = [] if args.data is None else [str(args.data)]
+    parts = [
+        "nerf",
+        "fit",
+        *data,
+        "--field",
+        spec.field,
+        "--views",
+        spec.views,
+        "--run",
+        str(folder),
+    ]
     parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
     parts += ["--frames", args.frames] if args.frames else []
     if spec.prior != NONE:

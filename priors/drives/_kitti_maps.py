@@ -4,6 +4,7 @@
 """
 
 from collections.abc import Iterable
+from contextlib import suppress
 from pathlib import Path
 
 from priors import codecs
@@ -55,10 +56,12 @@ def _first(
 
 
 def _fits(maps: dict[str, Path], size: tuple[int, int]) -> bool:
-    """Tell whether the maps are for images of this size; a damaged one is reported when it is read, not here."""
-    for path in maps.values():
-        try:
-            return codecs.read_depth_png(path).shape == size
-        except DataError:
-            continue
-    return True
+    """Tell whether the maps are for images of this size, by three of them.
+
+    A map that is damaged, or of another size than the others, is reported when it is read, not here.
+    """
+    paths, shapes = list(maps.values()), []
+    for path in dict.fromkeys((paths[0], paths[len(paths) // 2], paths[-1])):
+        with suppress(DataError):
+            shapes.append(codecs.read_depth_png(path).shape)
+    return size in shapes or not shapes
