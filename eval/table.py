@@ -114,15 +114,17 @@ def show(results: Sequence[Result], keys: Sequence[str] | None = None, console: 
     if console.is_terminal:
         fitting = render(results, keys, console.width)
         if keys is None and len(fitting.columns) < len(render(results).columns):
-            keys = brief_columns(results)
+            keys = brief_first(results)
         console.print(render(results, keys, console.width))
     else:
         console.print(plain(results, keys), end="", markup=False, highlight=False, soft_wrap=True)
 
 
-def brief_columns(results: Sequence[Result]) -> tuple[str, ...]:
-    """Return what the readers of a protocol look at first, for a narrow terminal; --metrics shows the rest."""
-    return BRIEF_COLUMNS.get(results[0].protocol.name, USUAL_BRIEF)
+def brief_first(results: Sequence[Result]) -> tuple[str, ...]:
+    """Return a protocol's columns with those first that its readers look at first: a narrow terminal drops the last."""
+    name = results[0].protocol.name
+    brief = BRIEF_COLUMNS.get(name, USUAL_BRIEF)
+    return brief + tuple(key for key in PROTOCOL_COLUMNS.get(name, DEPTH_COLUMNS) if key not in brief)
 
 
 def plain(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:

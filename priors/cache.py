@@ -21,7 +21,7 @@ from eval import files
 from eval.files import write_bytes
 from priors import codecs
 from priors.errors import DataError
-from priors.selection import in_order
+from priors.frame_ids import in_order
 from priors.types import Depth
 
 FORMAT = 1

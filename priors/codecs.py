@@ -10,6 +10,7 @@
 """
 
 import io
+import re
 import zipfile
 import zlib
 from pathlib import Path
@@ -27,6 +28,10 @@ PNG_SCALE = {"kitti": 256.0, "mm": 1000.0}
 FARTHEST_M = 250.0
 """The farthest that methods answer: what a kitti depth PNG holds, less a little."""
 LARGEST_CODE = 65535
+_JPEG_MARK = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
+"""A mark; within a scan, 0 after 0xff stands for the value itself, and 0xd0 to 0xd7 begin the data anew."""
+_JPEG_END, _JPEG_BARE = 0xD9, (0x01, 0xD8)
+"""The end, and marks without a segment."""
 
 
 def read_image(path: Path) -> Image:
@@ -55,8 +60,10 @@ def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:
     """Read a uint16 depth (metres) or disparity (px) PNG: float32 (height, width), 0 = no value."""
     codes = _decode(path, cv2.IMREAD_UNCHANGED)
     if codes.dtype != np.uint16 or codes.ndim != 2:
-        kind = f"{codes.dtype} with shape {codes.shape}"
-        raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {kind}: is this a colour map?")
+        channels = 1 if codes.ndim == 2 else codes.shape[2]
+        kind = f"{8 * codes.itemsize} bits and {channels} channel{'s' if channels > 1 else ''}"
+        advice = f"write uint16, metres x {PNG_SCALE[encoding]:.0f}" if channels == 1 else "is this a colour map?"
+        raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {kind}: {advice}")
     return codes.astype(np.float32) / np.float32(PNG_SCALE[encoding])
 
 
@@ -176,7 +183,7 @@ def _is_whole(data: bytes) -> bool:
     """Tell whether a PNG or JPEG has its end mark, whatever follows; other formats are the decoder's to judge."""
     if data.startswith(b"\x89PNG"):
         return _png_ends(data)
-    return not data.startswith(b"\xff\xd8") or b"\xff\xd9" in data[data.rfind(b"\xff\xda") :]
+    return not data.startswith(b"\xff\xd8") or _jpeg_ends(data)
 
 
 def _png_ends(data: bytes) -> bool:
@@ -186,6 +193,18 @@ def _png_ends(data: bytes) -> bool:
         if data[at + 4 : at + 8] == b"IEND":
             return True
         at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return False
+
+
+def _jpeg_ends(data: bytes) -> bool:
+    """Walk a JPEG's segments and scans to its end mark; the mark of a preview inside a segment is not its own."""
+    at = 2
+    while mark := _JPEG_MARK.search(data, at):
+        code, at = data[mark.end() - 1], mark.end()
+        if code == _JPEG_END:
+            return True
+        if code not in _JPEG_BARE:
+            at += int.from_bytes(data[at : at + 2], "big")
     return False
 
 

@@ -1,6 +1,6 @@
 """Which frames of a drive to work on: a range, a shard, and only those that moved."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -35,11 +35,6 @@ class Selection:
         expect(0 <= self.min_motion < float("inf"), "--min-motion", self.min_motion, "metres, 0 or more")
 
 
-def in_order(ids: Iterable[str]) -> list[str]:
-    """Sort frame ids: those of digits only as numbers, 9 before 10 and 0009 with 9; the others behind them, as text."""
-    return sorted(ids, key=lambda id_: (0, int(id_), id_) if id_.isdecimal() else (1, 0, id_))
-
-
 def parse_range(frames: str | None, flag: str = "--frames") -> tuple[int, int]:
     """Return the first number of a range a:b and the one after its last; DataError where it is none.
 
@@ -60,7 +55,7 @@ def select(ids: Sequence[str], frames: str | None) -> list[int]:
     if frames is None:
         return list(range(len(ids)))
     low, high = parse_range(frames)
-    numeric = all(id_.isdigit() and int(id_) < LARGEST_FRAME_NUMBER for id_ in ids)
+    numeric = all(id_.isdecimal() and int(id_) < LARGEST_FRAME_NUMBER for id_ in ids)
     numbers = [int(id_) for id_ in ids] if numeric else list(range(len(ids)))
     indices = [index for index, number in enumerate(numbers) if low <= number < high]
     if not indices:
@@ -133,7 +128,8 @@ class MotionGate:
         if self.min_motion_m <= 0:
             return None
         if frame.T_world_cam is None:
-            raise DataError(f"frame {frame.id}: --min-motion needs poses, this drive has none: leave it out")
+            why = frame.missing.get("pose", "this drive has none")
+            raise DataError(f"frame {frame.id}: --min-motion needs poses: {why}: leave it out")
         position_m = frame.T_world_cam[:3, 3]
         if self.last_m is not None:
             moved_m = float(np.linalg.norm(position_m - self.last_m))

@@ -21,6 +21,7 @@ from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.drives._files import first_size as first_size
 from priors.drives._files import stems as stems
 from priors.drives._files import subfolders as subfolders
+from priors.drives._links import plain
 from priors.errors import DataError, expect
 from priors.types import Drive
 
@@ -57,9 +58,9 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     Raises:
         DataError: the folder is missing, nothing recognises it, or it holds several drives and none is named.
     """
-    path = Path(path).expanduser()
-    if ".." in path.parts or not path.name:
-        path = Path(os.path.normpath(Path.cwd() / path))  # "." has no name, and nothing above it
+    path = Path(path)
+    if ".." in path.parts or not path.name or path.parts[0].startswith("~"):
+        path = plain(path)  # "." has no name, and nothing above it
     if not path.is_dir():
         raise DataError(f"{path}: " + ("is a file: name the drive's folder" if path.exists() else "no such folder"))
     name = _recognise(path) if dataset == "auto" else dataset

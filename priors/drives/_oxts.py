@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from priors.drives._files import read_text, read_times, stems
+from priors.drives._files import read_times, stems
 from priors.errors import DataError
 from priors.geometry import invert
+from priors.text import read_lines
 from priors.types import Matrix
 
 EARTH_RADIUS_M = 6378137.0
@@ -120,7 +121,7 @@ def between(T_world_a: Matrix, T_world_b: Matrix, share: float) -> Matrix:
 
 def _read_fields(path: Path) -> npt.NDArray[np.float64]:
     """Read latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad) from an oxts file."""
-    words = read_text(path).split()
+    words = [word for line in read_lines(path) for word in line.words]
     try:
         values = np.array([float(word) for word in words[:6]])
     except ValueError as error:

@@ -15,7 +15,6 @@ the usual error of their rectification (docs/methods/stereo.md).
   Lines that begin with # are comments.
 """
 
-from collections import Counter
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,14 +27,13 @@ from priors.drives._files import (
     check_baseline,
     first_size,
     follow,
-    joined,
-    parse_pose,
-    read_json,
-    read_text,
     stems,
 )
 from priors.drives._rigs import RIGS
 from priors.errors import DataError
+from priors.frame_ids import joined
+from priors.poses import WITH_ID, by_id, parse_pose, read_pose_lines
+from priors.text import Line, read_json
 from priors.types import Camera, Matrix, Rig
 
 MAP_SUFFIXES = (".png", ".npy", ".npz", ".pfm")
@@ -99,8 +97,8 @@ class Folder(CameraDrive):
         """Return the pose that poses.txt tells."""
         if id_ not in self._pose_lines:
             return None
-        number, line = self._pose_lines[id_]
-        T_world_left = parse_pose(line, f"{self.folder / 'poses.txt'}: line {number}")
+        line = self._pose_lines[id_]
+        T_world_left = parse_pose(line.text, f"{self.folder / 'poses.txt'}: line {line.number}")
         T_left_cam = np.eye(4)
         if self.side == "right" and self.baseline_m is not None:
             T_left_cam[0, 3] = self.baseline_m
@@ -126,25 +124,24 @@ class Folder(CameraDrive):
         return camera, baseline_m, _rig(data.get("rig"), path)
 
     @cached_property
-    def _pose_lines(self) -> dict[str, tuple[int, str]]:
-        """Line number and 12 numbers by frame id; empty without poses.txt."""
+    def _pose_lines(self) -> dict[str, Line]:
+        """A line of 12 numbers by frame id; empty without poses.txt."""
         path = self.folder / "poses.txt"
         if not path.is_file():
             return {}
-        numbered = enumerate(read_text(path).splitlines(), 1)
-        lines = [(n, line) for n, line in numbered if line.strip() and not line.lstrip().startswith("#")]
-        if lines and all(len(line.split()) == 13 for _, line in lines):
-            by_id = {line.split()[0]: (n, line.split(maxsplit=1)[1]) for n, line in lines}
-            return joined(self.images, by_id)
+        lines = [line for line in read_pose_lines(path) if line.text]
+        named = by_id(lines, self.images, path)
+        if named is not None:
+            return named
         lefts = list(stems(follow(self.folder / "left"), IMAGE_SUFFIXES))
         if len(lines) != len(lefts):
             counts = f"{len(lines)} poses for {len(lefts)} left images"
-            widths = Counter(len(line.split()) for _, line in lines)
+            bare = sum(len(line.words) != WITH_ID for line in lines)
             wanted = "begin each line with its frame id, or give one line an image"
-            if widths[13]:
-                wanted = f"{len(lines) - widths[13]} lines lack the frame id that the others begin with"
+            if bare < len(lines):
+                wanted = f"{bare} lines lack the frame id that the others begin with"
             raise DataError(f"{path}: {counts}: {wanted}")
-        return dict(zip(lefts, lines, strict=True))
+        return joined(self.images, dict(zip(lefts, lines, strict=True)))
 
 
 def _rig(name: Any, path: Path) -> Rig | None:

@@ -15,6 +15,7 @@ Quirks kept here:
 - The depth maps (`groundtruth`, `velodyne_raw`) are other downloads: looked for beside, or under --truth.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -27,10 +28,8 @@ from priors.drives import CameraDrive, DriveOptions, _kitti_maps
 from priors.drives._camera_drive import Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
-    beside,
     choose,
     follow,
-    joined,
     need,
     read_key_values,
     read_sized,
@@ -39,10 +38,12 @@ from priors.drives._files import (
     split_projection,
     stems,
 )
+from priors.drives._links import beside, homes
 from priors.drives._oxts import Track
 from priors.drives._rigs import KITTI
 from priors.drives._velodyne import SECONDS_PER_RADIAN, SWEEP_S, read_sweep_file
 from priors.errors import DataError
+from priors.frame_ids import joined
 from priors.geometry import invert
 from priors.types import Camera, Matrix, Sweep
 
@@ -50,6 +51,7 @@ from priors.types import Camera, Matrix, Sweep
 SWEEPS_KEPT = 24
 BELOW = 2
 """How many levels below the data set's own folder its drives are: a date, then a drive."""
+CAMERAS_FILE, VELO_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
 CALIBRATION = "download the date's calibration again"
 CAMERAS = ("image_00", "image_01", "image_02", "image_03")
 DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
@@ -96,7 +98,7 @@ class KittiRaw(CameraDrive):
 
     def __init__(self, folder: Path, camera: str = "image_02", truth: Path | None = None) -> None:
         super().__init__(folder, camera, truth)
-        partner = self.paired_camera()
+        folder, partner = self.folder, self.paired_camera()
         self.images = _images(folder, camera)
         self.others = joined(self.images, _images(folder, partner))
         if not self.images:
@@ -104,11 +106,12 @@ class KittiRaw(CameraDrive):
         self._sweeps = joined(self.images, stems(follow(folder / "velodyne_points") / "data", [".bin"]))
         self._by_number = {int(id_): id_ for id_ in {**self._sweeps, **self.images} if id_.isdecimal()}
         self._track = Track(follow(folder / "oxts"))
-        self._date = beside(folder, "calib_cam_to_cam.txt").parent
-        self.calibration = read_calibration(self._date, camera)
+        self._homes = homes(folder, follow(folder / camera) / "data")
+        self._files = {name: beside(self._homes, name) for name in (CAMERAS_FILE, VELO_FILE, IMU_FILE)}
+        self.calibration = read_calibration(self._files, camera)
         self.camera = self.calibration.camera
         self.baseline_m = self._read_baseline(partner) if self.others else None
-        self.rig = KITTI if folder.name.startswith(DATES) else None
+        self.rig = KITTI if any(home.name.startswith(DATES) for home in self._homes) else None
         self.maps = self._find_maps()
         self._read_sweep = lru_cache(maxsize=SWEEPS_KEPT)(self._load_sweep)
 
@@ -118,11 +121,13 @@ class KittiRaw(CameraDrive):
 
     def sources(self) -> list[Path]:
         """List the files of calibration and poses."""
-        return [*sorted(self._date.glob("calib_*.txt")), *self._track.sources]
+        files = {path.name: path for home in reversed(self._homes) for path in home.parent.glob("calib_*.txt")}
+        return [*(files[name] for name in sorted(files)), *self._track.sources]
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each sensor has, for the audit."""
-        return {"other": list(self.others), "sweep": list(self._sweeps), "oxts": list(self._track.files)}
+        oxts = joined(self.images, self._track.files)
+        return {"other": list(self.others), "sweep": list(self._sweeps), "oxts": list(oxts)}
 
     def readers(self, id_: str) -> Readers:
         """Return what can be read of a frame: also sweeps, and the street's sky masks."""
@@ -137,9 +142,7 @@ class KittiRaw(CameraDrive):
         """Say why a reader is not there, and what to do."""
         sweep = f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data"
         if self._sweeps:
-            sweep = (
-                f"{self._date / 'calib_velo_to_cam.txt'}: no such file, so the sweeps cannot be placed: {CALIBRATION}"
-            )
+            sweep = f"{self._files[VELO_FILE]}: no such file, so the sweeps cannot be placed: {CALIBRATION}"
         return {
             **self._lacking_pose,
             "other": f"no image {self.partner}/data/{id_} in {self.folder}: stereo needs both cameras",
@@ -164,7 +167,7 @@ class KittiRaw(CameraDrive):
     @cached_property
     def _skies(self) -> dict[str, Path]:
         """Map frame id to sky mask (255 = sky); only the embedded street has them."""
-        return stems(self.folder / "sky" / self.camera_name / "data", [".png"])
+        return joined(self.images, stems(self.folder / "sky" / self.camera_name / "data", [".png"]))
 
     @cached_property
     def _T_cam_velo(self) -> Matrix | None:
@@ -178,15 +181,17 @@ class KittiRaw(CameraDrive):
         return read_times(path) if path.exists() else {}
 
     def _read_baseline(self, partner: str) -> float:
-        T_other_cam0 = read_calibration(self._date, partner).T_cam_cam0
+        T_other_cam0 = read_calibration(self._files, partner).T_cam_cam0
         right_m = float(self.calibration.T_cam_cam0[0, 3] - T_other_cam0[0, 3])
-        return self.baseline(right_m, self._date / "calib_cam_to_cam.txt")
+        return self.baseline(right_m, self._files[CAMERAS_FILE])
 
     def _find_maps(self) -> dict[str, dict[str, Path]]:
         """Find the drive's depth maps: truth and sparse, by frame id."""
         if self.truth is not None:
-            return _kitti_maps.given(Path(self.truth), self.folder.name, self.camera_name)
-        return _kitti_maps.beside(self._above, self.folder.name, self.camera_name, self.camera.size)
+            maps = _kitti_maps.given(self.truth, self._names, self.camera_name)
+        else:
+            maps = _kitti_maps.beside(self._above, self._names, self.camera_name, self.camera.size)
+        return {what: joined(self.images, paths) for what, paths in maps.items()}
 
     @cached_property
     def _lacking_maps(self) -> dict[str, str]:
@@ -196,20 +201,24 @@ class KittiRaw(CameraDrive):
             if paths:
                 reasons[what] = f"{next(iter(paths.values())).parent}: no map of this frame"
             else:
-                reasons[what] = _kitti_maps.lacking(self._above, self.folder.name, self.camera_name, what)
+                reasons[what] = _kitti_maps.lacking(self._above, self._names, self.camera_name, what)
         return reasons
 
     @property
     def _above(self) -> list[Path]:
-        named, meant = self.folder.absolute(), self.folder.resolve()
-        return list(dict.fromkeys([*list(named.parents)[:3], *list(meant.parents)[:3]]))
+        return list(dict.fromkeys(above for home in self._homes for above in list(home.parents)[:3]))
+
+    @property
+    def _names(self) -> list[str]:
+        """What the drive may be called where its depth maps are: its folder's name, and where links lead."""
+        return list(dict.fromkeys(home.name for home in self._homes))
 
     @cached_property
     def _lacking_pose(self) -> dict[str, str]:
         """Say which file the poses lack, where there are oxts records; nothing where all are there, or no records."""
-        for name in ("calib_velo_to_cam.txt", "calib_imu_to_velo.txt"):
-            if self._track.files and not (self._date / name).exists():
-                return {"pose": f"{self._date / name}: no such file, so oxts tells no camera's pose: {CALIBRATION}"}
+        for name in (VELO_FILE, IMU_FILE):
+            if self._track.files and not self._files[name].exists():
+                return {"pose": f"{self._files[name]}: no such file, so oxts tells no camera's pose: {CALIBRATION}"}
         return {}
 
     def _T_world_velo(self, id_: str) -> Matrix | None:
@@ -254,9 +263,9 @@ def _images(folder: Path, camera: str) -> dict[str, Path]:
     return {id_: path for id_, path in images.items() if id_.isdecimal()}
 
 
-def read_calibration(date: Path, camera: str) -> RigCalibration:
-    """Read a date's calibration files for one camera (image_00 .. image_03)."""
-    path = date / "calib_cam_to_cam.txt"
+def read_calibration(files: Mapping[str, Path], camera: str) -> RigCalibration:
+    """Read a date's calibration files, by their names, for one camera (image_00 .. image_03)."""
+    path = files[CAMERAS_FILE]
     values = read_key_values(path)
     number = camera[-2:]
     P = need(values, f"P_rect_{number}", 12, path).reshape(3, 4)
@@ -264,12 +273,12 @@ def read_calibration(date: Path, camera: str) -> RigCalibration:
     width, height = need(values, f"S_rect_{number}", 2, path)
     R_rect = np.eye(4)
     R_rect[:3, :3] = need(values, "R_rect_00", 9, path).reshape(3, 3)
-    T_cam_velo = _read_rigid(date / "calib_velo_to_cam.txt")
+    T_cam_velo = _read_rigid(files[VELO_FILE])
     return RigCalibration(
         camera=Camera(K, (int(height), int(width))),
         T_cam_cam0=T_cam_cam0,
         T_cam0_velo=None if T_cam_velo is None else R_rect @ T_cam_velo,
-        T_velo_imu=_read_rigid(date / "calib_imu_to_velo.txt"),
+        T_velo_imu=_read_rigid(files[IMU_FILE]),
     )
 
 
