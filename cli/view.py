@@ -2,10 +2,21 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Protocol
 
 from cli.console import out
 from priors.view import server
+
+
+class Panel(Protocol):
+    """The controls of a view, and the work behind them."""
+
+    @property
+    def fault(self) -> BaseException | None:
+        """What ended the work, if anything did."""
+
+    def close(self) -> None:
+        """End the work."""
 
 
 @dataclass(frozen=True)
@@ -20,16 +31,19 @@ class AddressArguments:
     def __post_init__(self) -> None:
         server.check_port(self.port)
 
-    def serve(self, title: str, open_panel: Callable[[Any], Callable[[], BaseException | None]]) -> int:
+    def serve(self, title: str, open_panel: Callable[[Any], Panel]) -> int:
         """Serve until Ctrl-C; returns the exit code.
 
         Args:
             title: of the panel in the browser.
-            open_panel: puts the panel into viser's server; returns what tells a fault of the work behind it.
+            open_panel: puts the controls into viser's server.
         """
         with server.opened(self.host, self.port, title) as (opened, address):
-            fault = open_panel(opened)
+            panel = open_panel(opened)
             out.print(f"open {address} in a browser; Ctrl-C ends the view", soft_wrap=True)
-            server.wait(fault)
+            try:
+                server.wait(lambda: panel.fault)
+            finally:
+                panel.close()
         out.print("the view has ended")
         return 0

@@ -189,6 +189,9 @@ def test_the_newest_wish_overtakes_the_others() -> None:
         newest.ask(wish)
     go.set()
     assert newest.settle(10) and begun == [0, 3]
+    newest.stop()
+    newest.ask(4)
+    assert begun == [0, 3], "nothing is begun after the end"
 
 
 def test_a_fault_of_the_work_ends_the_view() -> None:
@@ -276,4 +279,5 @@ def test_the_controls_change_what_is_shown(folder: Path, prior: Prior, capfd: py
         assert "frame c: made has no map of it" in panel.told.content.replace("\\", "")
         panel.path.value = False
         panel.size.value = 0.2
+        panel.close()
     assert capfd.readouterr() == ("", ""), "viser says nothing"

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
@@ -89,12 +89,7 @@ def run(arguments: list[str]) -> int:
     args = parse(ViewArguments, "priors view", EXAMPLES, arguments)
     server.require()
     scene = args.scene()
-
-    def open_panel(opened: Any) -> Any:
-        panel = DrivePanel(opened, scene)
-        return lambda: panel.newest.fault
-
-    return args.serve(f"priors view {scene.drive.name}", open_panel)
+    return args.serve(f"priors view {scene.drive.name}", lambda opened: DrivePanel(opened, scene))
 
 
 def _is_cache(path: Path) -> bool:

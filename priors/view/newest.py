@@ -17,13 +17,22 @@ class Newest(Generic[Wish]):
         self._wishes: list[Wish] = []
         self._changed = threading.Condition()
         self._busy = False
-        threading.Thread(target=self._serve, name="roadprior-view", daemon=True).start()
+        self._going = True
+        self._thread = threading.Thread(target=self._serve, name="roadprior-view", daemon=True)
+        self._thread.start()
 
     def ask(self, wish: Wish) -> None:
         """Let a wish be worked on next."""
         with self._changed:
             self._wishes = [wish]
             self._changed.notify_all()
+
+    def stop(self) -> None:
+        """End the thread after the work in hand."""
+        with self._changed:
+            self._going = False
+            self._changed.notify_all()
+        self._thread.join()
 
     def settle(self, timeout_s: float = 60.0) -> bool:
         """Wait until nothing is left to do; returns whether that is so in time."""
@@ -34,7 +43,9 @@ class Newest(Generic[Wish]):
         try:
             while True:
                 with self._changed:
-                    self._changed.wait_for(lambda: bool(self._wishes))
+                    self._changed.wait_for(lambda: bool(self._wishes) or not self._going)
+                    if not self._going:
+                        return
                     wish, self._busy = self._wishes.pop(), True
                 self._work(wish)
                 self._rest()

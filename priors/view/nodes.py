@@ -14,6 +14,8 @@ CAMERAS = 60
 """Cameras that are drawn along a path; of a long drive every n-th."""
 CAMERA_M, IMAGE_M = 0.25, 1.2
 """Sizes of a camera that is drawn small, and of one that holds its image, metres."""
+KEYS = {"next frame": ("N", 1), "previous frame": ("B", -1)}
+"""Commands of both views: key, and by how many frames."""
 PATH_RGB, CAMERA_RGB, IMAGE_RGB = (90, 170, 255), (150, 156, 166), (255, 255, 255)
 
 

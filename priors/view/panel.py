@@ -17,7 +17,6 @@ IMAGES = 8
 MOST_TOGETHER = 100
 NEAREST_M, FARTHEST_M, FAR_M = 5, 250, 80
 POINT_M = 0.05
-KEYS = {"next frame": ("N", 1), "previous frame": ("B", -1)}
 
 
 class DrivePanel:
@@ -37,6 +36,15 @@ class DrivePanel:
         self.newest: Newest[Choice] = Newest(self.draw)
         self._listen()
         self.newest.ask(self.choice())
+
+    @property
+    def fault(self) -> BaseException | None:
+        """Return what ended the work behind the view, if anything did."""
+        return self.newest.fault
+
+    def close(self) -> None:
+        """End the work behind the view."""
+        self.newest.stop()
 
     def choice(self) -> Choice:
         """Return what the controls say."""
@@ -105,7 +113,7 @@ class DrivePanel:
         self.size.on_update(lambda _: self._resize())
         self.path.on_update(lambda _: self._show_path())
         self.stand.on_click(lambda event: self._stand(event.client))
-        for label, (key, by) in KEYS.items():
+        for label, (key, by) in nodes.KEYS.items():
             self.server.gui.add_command(label, hotkey=key).on_trigger(partial(self._step, by))
 
     def _step(self, by: int, event: Any) -> None:

@@ -49,6 +49,12 @@ class Track:
         T_view_a[:3, 3] -= self.origin_m
         return T_view_a
 
+    def unshifted(self, T_view_a: Matrix) -> Matrix:
+        """Return T_world_a of a T_view_a (4, 4): the drive's own coordinates."""
+        T_world_a = np.array(T_view_a, dtype=np.float64)
+        T_world_a[:3, 3] += self.origin_m
+        return T_world_a
+
     def path_m(self) -> npt.NDArray[np.float64]:
         """Return the places (n, 3) of the frames that have one, metres from the origin, in time order."""
         poses = [self.pose(position) for position in range(len(self.ids))]
