@@ -121,7 +121,7 @@ class _Preparation:
                     step()
             record = {"ids": self.ids, "K": camera.K.tolist(), "size": camera.size, "T_world_cam": poses.tolist()}
             write_bytes(path, json.dumps(record).encode())
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
 
     def stamps(self, prior: Prior) -> dict[str, str]:
         """Return what tells apart the maps of the frames that have one, by frame id.
