@@ -61,7 +61,7 @@ def test_names_are_taken_as_they_are() -> None:
     wrong = {
         "text without encoding": re.compile(r"\.(read_text|write_text)\(\)|\.open\(\"[wa]\"\)"),
         "a pattern with a name in it that is not escaped": re.compile(
-            r"glob\(f\"(?![^\"]*escape\()[^\"]*\{(?!manifest)"
+            r"glob\(f\"(?![^\"]*escape\()[^\"]*\{(?!manifest)[a-z]"
         ),
         "markup": re.compile(r"\[/?bold|\[/\]|(out|err|console)\.file\.write\("),
     }
