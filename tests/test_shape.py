@@ -59,7 +59,7 @@ def test_checks_are_not_assertions() -> None:
 def test_names_are_taken_as_they_are() -> None:
     """Files are UTF-8 in any locale; square brackets of a name are no pattern and no markup."""
     wrong = {
-        "text without encoding": re.compile(r"\.(read_text|write_text)\(\)|\.open\(\"[wa]\"\)"),
+        "text without encoding": re.compile(r"\.read_text\(\)|\.write_text\((?!.*encoding)|\.open\(\"[wa]\"\)"),
         "a pattern with a name in it that is not escaped": re.compile(
             r"glob\(f\"(?![^\"]*escape\()[^\"]*\{(?!manifest)[a-z]"
         ),
