@@ -9,8 +9,8 @@ from typing import TypeVar
 
 import tyro
 
-from cli.renamed import flags_of
-from priors.errors import UsageError
+from cli.renamed import flags_of, negated
+from priors.errors import DataError, UsageError
 
 Parsed = TypeVar("Parsed")
 NEAR = 0.6
@@ -27,7 +27,7 @@ def refuse_unknown(kind: type[object], command: str, arguments: Sequence[str]) -
     """Raise UsageError at the first flag that a command does not have; it names the nearest that it has."""
     names = flags_of(kind)
     flags = {f"--{name}" for name in names} | {"--help"}
-    known = flags | {f"--{_negated(name)}" for name in names}
+    known = flags | {f"--{negated(name)}" for name in names}
     for word in arguments:
         flag = word.partition("=")[0].replace("_", "-")
         if word.startswith("--") and len(word) > 2 and flag not in known:
@@ -35,13 +35,25 @@ def refuse_unknown(kind: type[object], command: str, arguments: Sequence[str]) -
             raise UsageError(f"{command} has no flag {word.partition('=')[0]}{hint}")
 
 
+def _refuse_empty(arguments: Sequence[str]) -> None:
+    """Raise UsageError at an empty word: as a path it would be the current folder (--cache "$UNSET")."""
+    for before, word in zip(("", *arguments), arguments, strict=False):
+        flag, equals, value = word.partition("=")
+        if not word or (equals and flag.startswith("--") and not value):
+            where = flag or (before if before.startswith("--") else "")
+            raise UsageError(f"{where} '': expected something, found nothing: is a variable unset?".strip())
+
+
 def parse(kind: type[Parsed], command: str, examples: str, arguments: Sequence[str]) -> Parsed:
     """Make a command's dataclass of its arguments; UsageError, one line, where they are wrong."""
     refuse_unknown(kind, command, arguments)
+    _refuse_empty(arguments)
     said = io.StringIO()
     try:
         with redirect_stderr(said):
             return tyro.cli(kind, prog=command, description=examples, args=arguments)
+    except DataError as error:  # a config refused what it was made of
+        raise UsageError(str(error)) from error
     except SystemExit as leaving:
         if not leaving.code:
             raise
@@ -65,9 +77,3 @@ def _one_line(box: str, command: str) -> str:
         choices = [name.strip(" ',") for name in listed.split(",") if name.strip(" ',")]
         return f"{flag} {wrong}: choose one of {', '.join(choices)}{nearest(wrong, choices)}"
     return f"{text[:1].lower() + text[1:].rstrip('.')}: see {command} --help"
-
-
-def _negated(name: str) -> str:
-    """Return what switches a flag off: stereo.no-fill of stereo.fill."""
-    prefix, dot, last = name.rpartition(".")
-    return f"{prefix}{dot}no-{last}"

@@ -106,13 +106,13 @@ def test_a_changed_flag_makes_another_folder(built: Path, street: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["show", "--every", 0], "--every 0: expected 1 or more"),
-        (["show", "--width", -5], "--width -5: expected 16 or more pixels"),
+        (["show", "--every", 0], "--every 0: expected a whole number from 1"),
+        (["show", "--width", -5], "--width -5: expected a whole number from 16"),
         (["show", "--frames", "a:b"], "--frames a:b: expected a:b, for example 5:17"),
         (["eval", "--metrics", "abs_rel", "magic"], "--metrics magic: expected some of density, "),
-        (["build", ".", "--method", "stereo", "--workers", 0], "--workers 0: expected 1 or more"),
+        (["build", ".", "--method", "stereo", "--workers", 0], "--workers 0: expected a whole number from 1"),
         (["build", ".", "--method", "mono", "--mono.hold-out", "x"], "--mono.hold-out x: expected start:stop:step"),
-        (["street", "other", "--seed", -1], "street: seed -1: expected 0 or more"),
+        (["street", "other", "--seed", -1], "--seed -1: expected a whole number from 0"),
     ],
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, list) else "",
 )
@@ -366,10 +366,13 @@ def test_the_drive_and_the_method_may_be_left_out(street: Path, tmp_path: Path) 
 
 
 def test_a_bad_truth_and_a_moved_drive_cost_no_table(copy: Path, tmp_path: Path) -> None:
-    succeed("build", copy, "--method", "stereo", "--frames", "0:2", "--cache", "c", cwd=tmp_path)
+    for method in ("stereo", "lidar"):
+        succeed("build", copy, "--method", method, "--frames", "0:2", "--cache", "c", cwd=tmp_path)
     moved = copy.rename(tmp_path / "moved")
     assert "has the drive moved? Name it: --data FOLDER" in fail("eval", "c", cwd=tmp_path)
     succeed("eval", "c", "--data", moved, cwd=tmp_path)
+    paths = {json.loads(path.read_text())["drive"]["path"] for path in (tmp_path / "c").rglob("manifest.json")}
+    assert paths == {str(drive_folder(moved))}
     truth = next(moved.rglob("groundtruth/image_02/0000000000.png"))
     codecs.write_depth_png(truth, codecs.read_depth_png(truth)[::2, ::2])
     done = priors("eval", "c", cwd=tmp_path)

@@ -1,20 +1,19 @@
 """`priors show`: pictures of cached maps."""
 
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cli.arguments import drive_key, parse, reopen_drive
+from cli.arguments import by_drive, parse, reopen_drive
 from cli.console import out, progress
 from priors import cache, codecs
 from priors.cache import Prior
 from priors.draw.comparison import compare
-from priors.errors import DataError, expect
+from priors.errors import DataError, expect_between
 from priors.naming import labels
-from priors.selection import parse_range, select
+from priors.selection import LARGEST_FRAME_NUMBER, parse_range, select
 
 EXAMPLES = """Write pictures: image and truth on top, then a row a prior - depth, error against the truth, confidence.
 
@@ -45,21 +44,21 @@ class ShowArguments:
 
     def __post_init__(self) -> None:
         parse_range(self.frames)
-        expect(self.every >= 1, "--every", self.every, "1 or more")
-        expect(self.width >= 16, "--width", self.width, "16 or more pixels")
+        expect_between(1, self.every, LARGEST_FRAME_NUMBER, "--every")
+        expect_between(16, self.width, 16384, "--width")
 
 
 def run(arguments: list[str]) -> int:
     """Write the pictures; returns the exit code."""
     args = parse(ShowArguments, "priors show", EXAMPLES, arguments)
     priors = [prior for path in args.caches for prior in cache.find(path)]
-    for _, together in groupby(sorted(priors, key=drive_key), key=drive_key):
-        _show_drive(list(together), args)
+    for together in by_drive(priors):
+        _show_drive(together, args)
     return 0
 
 
 def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
-    drive = reopen_drive(priors[0], args.truth, args.data)
+    drive = reopen_drive(priors, args.truth, args.data)
     cached = {id_ for prior in priors for id_ in prior.ids()}
     indices = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
     if not indices:

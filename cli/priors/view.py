@@ -1,22 +1,19 @@
 """`priors view`: a drive and its priors in three dimensions, live in a browser."""
 
 from dataclasses import dataclass, field
-from itertools import groupby
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cli.arguments import DatasetName, drive_key, parse, reopen_drive
+from cli.arguments import DatasetName, DriveArguments, by_drive, parse, reopen_drive
 from cli.view import AddressArguments
-from priors import cache, drives
+from priors import cache
 from priors.cache import Prior
 from priors.drives import DriveOptions
-from priors.errors import DataError, UsageError, expect
+from priors.errors import DataError, UsageError, expect_between
 from priors.naming import labels
-from priors.places import the_place
 from priors.selection import parse_range, select
-from priors.types import Drive
 from priors.view import server
 from priors.view.panel import DrivePanel
 from priors.view.scene import MOST_POINTS, DriveScene
@@ -42,6 +39,8 @@ class ViewArguments(AddressArguments):
     else the drive here."""
     frames: str | None = None
     """Only this range of frames, a:b."""
+    data: Path | None = None
+    """Where the drive of a cache is now, if it has moved since the build."""
     points: int = MOST_POINTS
     """Points shown at once, at most, of a prior and as many of sweeps: more frames at once are thinner."""
     dataset: DatasetName = "auto"
@@ -51,25 +50,18 @@ class ViewArguments(AddressArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         parse_range(self.frames)
-        expect(self.points >= 1, "--points", self.points, "1 or more")
+        expect_between(1, self.points, 10**8, "--points")
 
-    @property
-    def place(self) -> Path:
-        """Return the folder to look at."""
-        if self.what is not None:
-            return self.what
-        return CACHE if _is_cache(CACHE) else the_place(Path(), self.part.drive, ("priors", "view")).path
-
-    def scene(self) -> DriveScene:
-        """Open what there is to see."""
-        place = self.place
-        priors = self._priors(place) if _is_cache(place) else []
-        drive = reopen_drive(priors[0], self.part.truth) if priors else self._drive(place)
+    def scene(self, typed: list[str]) -> DriveScene:
+        """Open what there is to see; `typed`, the command, is repeated where there are several drives."""
+        place = CACHE if self.what is None and _is_cache(CACHE) else self.what
+        priors = [] if place is None or not _is_cache(place) else self._priors(place)
+        if priors:
+            drive = reopen_drive(priors, self.part.truth, self.data)
+        else:
+            drive = DriveArguments(place, self.dataset, self.part).open(typed)
         named = dict(zip(labels(priors), priors, strict=True))
         return DriveScene(drive, select(drive.ids, self.frames), named, self.points)
-
-    def _drive(self, place: Path) -> Drive:
-        return drives.open_drive(place, self.dataset, self.part)
 
     def _priors(self, place: Path) -> list[Prior]:
         """Return the priors of the one drive that is looked at; UsageError where there are several drives."""
@@ -77,7 +69,7 @@ class ViewArguments(AddressArguments):
         found = [prior for prior in cache.find(place) if wanted in (None, prior.drive["name"])]
         if not found:
             raise DataError(f"{place}: no priors of {wanted}: `priors list {place}` tells what there is")
-        several = [list(group) for _, group in groupby(sorted(found, key=drive_key), key=drive_key)]
+        several = by_drive(found)
         if len(several) > 1:
             lines = [f"\n  priors view {group[0].folder.parent}" for group in several]
             raise UsageError(f"{place}: holds {len(several)} drives: name one:{''.join(lines)}")
@@ -88,7 +80,7 @@ def run(arguments: list[str]) -> int:
     """Serve the view until Ctrl-C; returns the exit code."""
     args = parse(ViewArguments, "priors view", EXAMPLES, arguments)
     server.require()
-    scene = args.scene()
+    scene = args.scene(["priors", "view", *arguments])
     return args.serve(f"priors view {scene.drive.name}", lambda opened: DrivePanel(opened, scene))
 
 

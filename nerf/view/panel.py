@@ -83,7 +83,7 @@ class FieldPanel:
         self.told = gui.add_markdown("")
         self.frame = gui.add_slider("frame", 0, last, 1, 0, hint="keys: N next, B back", disabled=last == 0)
         self.kind = gui.add_dropdown("picture", (COLOUR, DEPTH), initial_value=COLOUR)
-        self.legend = gui.add_image(legend("depth"), visible=False)
+        self.legend = gui.add_image(legend("depth"), format="png", visible=False)
         self.sharp = gui.add_dropdown(
             "sharpness", tuple(str(share) for share in SHARP), initial_value="1.0", hint="pixels, times the images'"
         )

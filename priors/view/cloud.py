@@ -14,6 +14,9 @@ from priors.types import Camera, Depth, Frame, Image, Mask, Matrix
 
 Colouring: TypeAlias = Literal["image", "depth", "error", "confidence"]
 """What the colour of a point tells."""
+SWEEP_RGB = (255, 170, 40)
+LIGHT_M, LIGHT = (-2.0, 2.0), (0.3, 1.0)
+"""Heights from the LiDAR, metres, between which its points become brighter, and how bright they are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,12 +93,16 @@ def back_project(camera: Camera, depth: Depth, kept: Mask, picture: Image, T_vie
     return Cloud(xyz_m.astype(np.float32), picture.reshape(-1, 3)[taken], len(places))
 
 
-def place(xyz: npt.NDArray[np.floating], T_view_a: Matrix, rgb: tuple[int, int, int], most: int) -> Cloud:
-    """Map points (n, 3) from a frame a, metres, into the view's, in one colour, thinned evenly to at most `most`."""
-    finite = np.flatnonzero(np.isfinite(xyz).all(axis=1))
-    taken = xyz[finite[:: max(1, -(-len(finite) // most))]].astype(np.float64)
-    xyz_m = (taken @ T_view_a[:3, :3].T + T_view_a[:3, 3]).astype(np.float32)
-    return Cloud(xyz_m, np.tile(np.array(rgb, np.uint8), (len(xyz_m), 1)), len(finite))
+def place(sweep_m: npt.NDArray[np.floating], T_view_lidar: Matrix, most: int) -> Cloud:
+    """Map a sweep (n, 3), metres, z up, into the view's frame, thinned evenly to at most `most` points.
+
+    Points are orange, the higher the brighter: one colour alone would show no shape.
+    """
+    finite = np.flatnonzero(np.isfinite(sweep_m).all(axis=1))
+    taken = sweep_m[finite[:: max(1, -(-len(finite) // most))]].astype(np.float64)
+    xyz_m = (taken @ T_view_lidar[:3, :3].T + T_view_lidar[:3, 3]).astype(np.float32)
+    light = np.interp(taken[:, 2], LIGHT_M, LIGHT)
+    return Cloud(xyz_m, np.rint(light[:, None] * np.array(SWEEP_RGB)).astype(np.uint8), len(finite))
 
 
 def _expect_size(frame: Frame, found: tuple[int, ...], wanted: tuple[int, ...]) -> None:

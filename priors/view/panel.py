@@ -73,8 +73,8 @@ class DrivePanel:
             self._show_legend(choice)
 
     def _point_m(self, name: str) -> float:
-        """Return a point's size; LiDAR points are few, so they are larger."""
-        return float(self.size.value) * (1.5 if name == "sweeps" else 1.0)
+        """Return a point's size; a sweep's are smaller, so that what lies under them is seen."""
+        return float(self.size.value) * (0.6 if name == "sweeps" else 1.0)
 
     def _add_controls(self) -> None:
         gui, last = self.server.gui, len(self.scene.indices) - 1
@@ -90,7 +90,7 @@ class DrivePanel:
         with gui.add_folder("points", visible=there or "sweep" in self.scene.has):
             self.prior = gui.add_dropdown("prior", names, initial_value=names[0], visible=there)
             self.colouring = gui.add_dropdown("colour", self._colourings(), initial_value="image", visible=there)
-            self.legend = gui.add_image(legend("depth"), visible=False)
+            self.legend = gui.add_image(legend("depth"), format="png", visible=False)
             self.confidence = gui.add_slider("least confidence", 0.0, 1.0, 0.01, 0.0, visible=there)
             self.farthest = gui.add_slider("farthest, m", NEAREST_M, FARTHEST_M, 5, FAR_M, visible=there)
             self.size = gui.add_slider("point size, m", 0.01, 0.5, 0.01, POINT_M)

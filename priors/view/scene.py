@@ -18,7 +18,6 @@ from priors.view.track import Track
 
 MOST_POINTS = 400_000
 """Points that a browser on a small machine still turns smoothly."""
-SWEEP_RGB = (255, 170, 40)
 IMAGE_PX = 480
 """Width of an image in its frustum, at most."""
 
@@ -141,7 +140,7 @@ class DriveScene:
             raise DataError(f"frame {frame.id}: has no LiDAR sweep")
         if frame.T_cam_lidar is None:
             raise DataError(f"frame {frame.id}: the LiDAR's place is not known")
-        return place(untwist(sweep), pose @ frame.T_cam_lidar, SWEEP_RGB, most)
+        return place(untwist(sweep), pose @ frame.T_cam_lidar, most)
 
     def _pose(self, position: int) -> Matrix:
         pose = self.track.pose(position)
