@@ -75,6 +75,15 @@ def open_scene(
     return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test)
 
 
+def is_prepared(drive: Drive, config: SceneConfig, folder: Path) -> bool:
+    """Tell whether these frames of just this drive, by its fingerprint, were copied into the folder before."""
+    try:
+        positions = select(drive.ids, config.frames)
+    except DataError:
+        return False
+    return _Preparation(drive, positions, config.filters, folder, silent).home.is_dir()
+
+
 @dataclass(frozen=True)
 class _Preparation:
     """The frames at `positions` of a drive, on their way into files."""
@@ -170,6 +179,8 @@ class _Preparation:
         name, poses = self.drive.name, []
         for position in self.positions:
             frame = self.drive[position]
+            if frame.T_world_cam is None and "pose" in frame.missing:
+                raise DataError(f"{name}: frame {frame.id} has no pose: {frame.missing['pose']}")
             if frame.T_world_cam is None or not np.isfinite(frame.T_world_cam).all():
                 raise DataError(
                     f"{name}: frame {frame.id} has no pose: a field needs poses (`priors check` tells more)"

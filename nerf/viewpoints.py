@@ -7,7 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.errors import DataError
+from priors.poses import parse_pose
 from priors.selection import select
+from priors.text import read_lines
 from priors.types import Camera, Drive
 
 
@@ -34,12 +36,8 @@ def read_poses(path: Path, camera: Camera) -> Viewpoints:
     Raises:
         DataError: it cannot be read, or a line has not 12 finite numbers.
     """
-    try:
-        rows = np.loadtxt(path, ndmin=2)
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: expected 12 numbers a line ({error})") from error
-    if rows.shape[1] != 12 or not np.isfinite(rows).all():
-        raise DataError(f"{path}: expected 12 finite numbers a line, found {rows.shape[1]}")
-    poses = np.tile(np.eye(4), (len(rows), 1, 1))
-    poses[:, :3] = rows.reshape(-1, 3, 4)
-    return Viewpoints(camera, [f"{i:06d}" for i in range(len(rows))], poses)
+    lines = [line for line in read_lines(path) if line.text]
+    if not lines:
+        raise DataError(f"{path}: expected 12 numbers a line, found no line")
+    poses = np.array([parse_pose(line.text, f"{path}: line {line.number}") for line in lines])
+    return Viewpoints(camera, [f"{i:06d}" for i in range(len(lines))], poses)

@@ -21,6 +21,7 @@ from eval import files
 from eval.files import write_bytes
 from priors import codecs
 from priors.errors import DataError
+from priors.frame_ids import in_order
 from priors.types import Depth
 
 FORMAT = 1
@@ -65,7 +66,7 @@ class Prior:
 
     def ids(self) -> list[str]:
         """List the frames that are done."""
-        return sorted(path.stem for path in (self.folder / "depth").glob("[!.]*.png"))
+        return in_order(path.stem for path in (self.folder / "depth").glob("[!.]*.png"))
 
     def has(self, frame_id: str) -> bool:
         """Tell whether a frame is done: its files are there and whole."""

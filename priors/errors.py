@@ -11,7 +11,9 @@ class UsageError(DataError):
 
 
 def expect(holds: bool, flag: str, value: object, wanted: str) -> None:
-    """Raise DataError unless a setting's condition holds: '--lidar.sweeps 0: expected 1 or more'.
+    """Raise unless a setting's condition holds: '--lidar.sweeps 0: expected 1 or more'.
+
+    It is a UsageError where the setting is a flag, else a DataError.
 
     Args:
         holds: the condition; write it so that NaN makes it false.
@@ -20,11 +22,11 @@ def expect(holds: bool, flag: str, value: object, wanted: str) -> None:
         wanted: what would be right.
     """
     if not holds:
-        raise DataError(f"{flag} {value}: expected {wanted}")
+        raise (UsageError if flag.startswith("--") else DataError)(f"{flag} {value}: expected {wanted}")
 
 
 def expect_choices(config: object, prefix: str) -> None:
-    """Raise DataError where a field of a config dataclass is not one of its type's literals.
+    """Raise UsageError where a field of a config dataclass is not one of its type's literals.
 
     The command line checks this itself; a config that is made in Python has no other guard.
     """
@@ -33,4 +35,4 @@ def expect_choices(config: object, prefix: str) -> None:
         value = vars(config)[field.name]
         if choices and value not in choices:
             flag = f"--{prefix}{field.name.replace('_', '-')}"
-            raise DataError(f"{flag} {value}: expected one of {', '.join(map(str, choices))}")
+            raise UsageError(f"{flag} {value}: expected one of {', '.join(map(str, choices))}")

@@ -8,7 +8,7 @@ import tyro
 
 from cli.arguments import Device, ThreadArguments
 from cli.console import progress
-from nerf.run import Run, open_run
+from nerf.run import Run, moved, open_run
 
 
 @dataclass(frozen=True)
@@ -22,6 +22,15 @@ class RunArguments(ThreadArguments):
     device: Device = "auto"
     """Where to render; auto: a GPU where there is one."""
 
+    data: Path | None = None
+    """Where the run's drive is now, if it has moved."""
+
     def open(self) -> Run:
         """Open the run."""
-        return replace(open_run(self.run), progress=progress)
+        return open_moved(self.run, self.data)
+
+
+def open_moved(folder: Path, data: Path | None) -> Run:
+    """Open a run; `data` says where its drive is now, if it has moved."""
+    run = replace(open_run(folder), progress=progress)
+    return run if data is None else moved(run, data)

@@ -9,19 +9,20 @@ import tyro
 from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments, print_table
+from cli.nerf.sources import open_sources
 from nerf import checkpoint, fields
 from nerf.config import FitConfig, ModelConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.run import begin
 from nerf.sample import SamplerConfig
-from priors import cache
-from priors.errors import DataError
+from priors.errors import UsageError
 from priors.filters import Filters
 
 EXAMPLES = """Train a field on a drive and score its held-out views (every 10th frame). Runs resume where they stopped.
 
 examples:
+  nerf fit --prior cache/                                           the drive and the prior that the cache has
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --views sparse --time 60s
   nerf fit street/ --views sparse                                   colours alone
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
@@ -40,7 +41,8 @@ class FitArguments(ThreadArguments, DriveArguments):
     """Arguments of `nerf fit`."""
 
     prior: Path | None = None
-    """A prior's folder in the cache, or a folder that holds just one; none: colours alone."""
+    """A prior's folder in the cache, or a folder that holds several: the one that suits best is taken, and said.
+    auto: cache/. Default: colours alone."""
     views: str = "dense"
     """Training views: dense (all that are not held out), sparse (every 4th of them) or a number."""
     frames: str | None = None
@@ -77,13 +79,12 @@ def run(arguments: list[str]) -> int:
     """Fit; returns the exit code."""
     args = parse(FitArguments, "nerf fit", EXAMPLES, arguments)
     with args.limited():
-        return _fit(args)
+        return _fit(args, ["nerf", "fit", *arguments])
 
 
-def _fit(args: FitArguments) -> int:
+def _fit(args: FitArguments, typed: list[str]) -> int:
     config, scene = args.config(), SceneConfig(args.views, args.frames, args.filters)
-    drive = args.open()
-    prior = None if args.prior is None else cache.only(args.prior)
+    drive, prior = open_sources(args, args.prior, typed)
     this_run = begin(drive, prior, scene, config, args.run, progress)
     if len(this_run.scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
@@ -106,7 +107,7 @@ def seconds(text: str) -> float:
     try:
         value = float(text.rstrip("smh")) * UNITS_S[text[-1:] if text[-1:] in UNITS_S else "s"]
     except ValueError as error:
-        raise DataError(f"--time {text}: expected a number and s, m or h, for example 60s") from error
+        raise UsageError(f"--time {text}: expected a number and s, m or h, for example 60s") from error
     if not value > 0:
-        raise DataError(f"--time {text}: expected more than 0")
+        raise UsageError(f"--time {text}: expected more than 0")
     return value

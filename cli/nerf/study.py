@@ -97,7 +97,7 @@ def run(arguments: list[str]) -> int:
 def _make(args: StudyArguments, command: str) -> int:
     timed = None if args.steps is not None else seconds(args.time)
     fit = FitConfig(losses=args.losses, steps=args.steps, seconds=timed)
-    drive, grid = args.open(), args.grid()
+    drive, grid = args.open(["nerf", "study"]), args.grid()
 
     def command_of(spec: RunSpec, folder: Path) -> str:
         return _command(args, spec, folder)
@@ -106,7 +106,7 @@ def _make(args: StudyArguments, command: str) -> int:
     runner = FitRunner(drive, fit, args.frames, args.device, lpips, progress, fit_progress, command_of)
     outcomes = run_study(grid, args.out, runner, runner.settings, _tell)
     laid = study_table.lay_out(outcomes)
-    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.file.write(typeset.plain(laid))
+    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
     for path in study_table.save(outcomes, args.out, command):
         out.print(f"wrote {path}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0
@@ -114,14 +114,25 @@ def _make(args: StudyArguments, command: str) -> int:
 
 def _tell(outcome: Outcome) -> None:
     if outcome.report is None:
-        err.print(f"[bold red]{outcome.spec.name}:[/] {outcome.error}")
+        err.complain(outcome.error, outcome.spec.name)
     elif not outcome.fresh:
         err.print(f"{outcome.spec.name}: done before")
 
 
 def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     """Write the command that makes one run alone."""
-    parts = ["nerf", "fit", str(args.data), "--field", spec.field, "--views", spec.views, "--run", str(folder)]
+    data = [] if args.data is None else [str(args.data)]
+    parts = [
+        "nerf",
+        "fit",
+        *data,
+        "--field",
+        spec.field,
+        "--views",
+        spec.views,
+        "--run",
+        str(folder),
+    ]
     parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
     parts += ["--frames", args.frames] if args.frames else []
     if spec.prior != NONE:

@@ -38,6 +38,8 @@ class ShowArguments:
     """Only every n-th of them."""
     truth: Path | None = None
     """Folder with KITTI depth maps, where the build was not told."""
+    data: Path | None = None
+    """Where the drive is now, if it has moved since the build."""
     width: int = 620
     """Width of one tile, pixels."""
 
@@ -57,7 +59,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
-    drive = reopen_drive(priors[0], args.truth)
+    drive = reopen_drive(priors[0], args.truth, args.data)
     cached = {id_ for prior in priors for id_ in prior.ids()}
     indices = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
     if not indices:

@@ -111,7 +111,7 @@ def run(arguments: list[str]) -> int:
         "calibrate": (CalibrateArguments, calibrate),
     }
     if not arguments or arguments[0] in ("-h", "--help"):
-        out.print(EXAMPLES, markup=False)
+        out.print(EXAMPLES)
         return 0
     name, rest = arguments[0], arguments[1:]
     if name not in kinds:
