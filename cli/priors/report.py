@@ -111,5 +111,7 @@ def write_page(page: Page, path: Path, scored: list[DriveScores], sample: Sample
     wanted = max((len(each.wipe.views) for each in scored if each.wipe), default=0)
     shown = max((len(each.wipe.views) for each in within(scored, sample.room) if each.wipe), default=0)
     if shown < wanted:
-        out.print(f"{shown} of {wanted} frames are pictured: the others do not fit into --megabytes {sample.megabytes:g}")
+        out.print(
+            f"{shown} of {wanted} frames are pictured: the others do not fit into --megabytes {sample.megabytes:g}"
+        )
     out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")

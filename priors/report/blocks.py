@@ -72,6 +72,8 @@ class Figure:
     """Plots that stand together, under one legend where all have the same lines."""
 
     plots: Sequence[Plot]
+    columns: int = 2
+    """In a row, where a window is wide enough."""
     caption: str = ""
     template: ClassVar[str] = "figure.html.j2"
 

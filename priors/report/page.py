@@ -1,4 +1,4 @@
-"""A report page: one HTML file that loads nothing. Its chapters hold sections, its sections blocks (blocks.py, wipe.py).
+"""A report page: one HTML file that loads nothing. Chapters hold sections, sections blocks (blocks.py, wipe.py).
 
 Its style and scripts stand in the file; the only scripts that a browser runs are those two, by their hash. The same
 content gives the same bytes.
@@ -51,6 +51,8 @@ class Page:
     lead: str
     """One paragraph."""
     chapters: Sequence[Chapter]
+    command: str = ""
+    """What made the page, as typed."""
 
     def html(self) -> str:
         """Return the page; its text is escaped, whatever a folder or a drive is called."""

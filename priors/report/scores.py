@@ -1,4 +1,4 @@
-"""The page of drives' priors: their figures, their pictures, their errors by distance and by confidence, their making."""
+"""The page of drives' priors: their figures, pictures, errors by distance and by confidence, and how they were made."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,7 +10,7 @@ from eval.curves import Curves
 from eval.result import Result
 from priors.cache import Prior
 from priors.draw.lines import Line, Plot
-from priors.report.blocks import Commands, Figure, Paragraph, Ranking, Record, Records
+from priors.report.blocks import Figure, Paragraph, Ranking, Record, Records
 from priors.report.page import Block, Chapter, Page, Section
 from priors.report.typed import build_command
 from priors.report.wipe import Wipe, fit_into
@@ -57,9 +57,8 @@ def scores_page(scored: Sequence[DriveScores], keys: Sequence[str] | None, comma
     """
     drives = [each.drive for each in scored if each.drive]
     chapters = [priors_chapter(each, keys) for each in within(scored, room)]
-    made = Chapter("How this page was made", "", [Section("The page", [Commands([command])])])
     title = f"Depth priors of {', '.join(drives)}" if drives else "Depth priors"
-    return Page(title, "Depth maps of a drive, made from its sensors, and what they are worth.", [*chapters, made])
+    return Page(title, "Depth maps of a drive, made from its sensors, and what they are worth.", chapters, command)
 
 
 def within(scored: Sequence[DriveScores], room: int) -> list[DriveScores]:
@@ -70,7 +69,8 @@ def within(scored: Sequence[DriveScores], room: int) -> list[DriveScores]:
 
 def priors_chapter(scored: DriveScores, keys: Sequence[str] | None) -> Chapter:
     """Lay out one drive's priors."""
-    plots = [sparsification(name, made) for name, made in scored.curves.items()]
+    plots = [plot for name, made in scored.curves.items() for plot in sparsification(name, made)]
+    columns = max(map(len, scored.curves.values()), default=1)
     missing = [f"{what}: {why}" for what, why in scored.left_out.items()]
     figures: list[Block] = []
     if scored.results:
@@ -84,10 +84,7 @@ def priors_chapter(scored: DriveScores, keys: Sequence[str] | None) -> Chapter:
             Section("Table", figures),
             Section("Frames", [] if scored.wipe is None else [scored.wipe]),
             Section("Error by true distance", [Figure(by_range(scored.results))] if scored.results else []),
-            Section(
-                "Sparsification",
-                [Paragraph(SPARSIFICATION), *(Figure(each) for each in plots if each)] if any(plots) else [],
-            ),
+            Section("Sparsification", [Paragraph(SPARSIFICATION), Figure(plots, columns)] if plots else []),
             Section("How the priors were made", [records(scored.priors)] if scored.priors else []),
         ],
     )
@@ -111,7 +108,7 @@ def facts(prior: Prior) -> dict[str, str]:
         "method": f"{prior.method}, version {manifest.get('version', 1)}",
         "drive": f"{prior.drive.get('path', prior.drive['name'])}, camera {prior.drive.get('camera')}",
         "maps": f"{len(prior.ids())} frames in {prior.folder}",
-        **{name: _text(value) for name, value in manifest.get("config", {}).items()},
+        **{name: _text(value) for name, value in manifest.get("config", {}).items() if value is not None},
         **{f"filter {name}": _text(value) for name, value in manifest.get("filters", {}).items()},
     }
     weights = manifest.get("weights")

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import cv2
-import numpy as np
 
 from priors import codecs
 from priors.report.legend import Legend
@@ -20,8 +19,6 @@ from priors.types import Image
 
 JPEG_QUALITY = 85
 """Of photographs: 1240 px are then about 150 kB."""
-LOSSLESS = 101
-"""OpenCV's WebP quality that keeps every bit: a map of 1240 px is 20 to 150 kB."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +153,7 @@ def photograph(source: str, kind: str, image: Image, size: tuple[int, int], note
 def coloured(source: str, kind: str, picture: Image, size: tuple[int, int], note: str = "") -> Layer:
     """Make the layer of a coloured map, RGB: every colour stays one of its legend's."""
     shrunk = cv2.resize(picture, size[::-1], interpolation=cv2.INTER_NEAREST) if picture.shape[:2] != size else picture
-    data = codecs.encode_image(Path("a.webp"), np.ascontiguousarray(shrunk), LOSSLESS)
+    data = codecs.encode_lossless(shrunk)
     return Layer(source, kind, data, "image/webp", note)
 
 
