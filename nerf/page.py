@@ -36,6 +36,8 @@ COURSES = (
     ("depth", "step", "step", "depth loss"),
 )
 """What is drawn of a fit's log: y, x and their labels."""
+NONE = np.zeros(0)
+"""The course of what a fit does not log, as a depth loss without a prior: its line keeps its colour."""
 VIDEO = "video.mp4"
 
 
@@ -137,14 +139,16 @@ def courses(runs: Sequence[Run]) -> list[Plot]:
     logs = [(run.name, _log(run.folder / "metrics.jsonl")) for run in runs]
     plots = []
     for y, x, x_label, y_label in COURSES:
-        drawn = [Line(name, *_means(log[x], log[y])) for name, log in logs if y in log]
-        if drawn:
+        drawn = [Line(name, *_means(log.get(x, NONE), log.get(y, NONE))) for name, log in logs]
+        if any(line.y.size for line in drawn):
             plots.append(Plot(drawn, x_label, y_label, from_zero=False, y_scale="linear" if y == "psnr" else "log"))
     return plots
 
 
 def _means(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Return at most POINTS means of neighbouring points."""
+    if not x.size or not y.size:
+        return NONE, NONE
     parts = np.array_split(np.arange(len(x)), min(POINTS, len(x)))
     return np.array([x[part].mean() for part in parts]), np.array([y[part].mean() for part in parts])
 

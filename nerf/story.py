@@ -37,7 +37,8 @@ def fitting(
     """Leave out what a page has no room for: videos that are too large, then pictured frames, evenly."""
     videos = sum(path.stat().st_size * 4 // 3 for each in fields for _, path in each.video_files)
     shown = videos <= VIDEO_SHARE * room
-    found = [each.wipe for each in (*priors, *fields) if each.wipe is not None]
+    found = [each.wipe for each in priors if each.wipe is not None]
+    found += [each.wipe for each in fields if each.wipe is not None]
     wipes = iter(fit_into(found, room - videos * shown))
     told = [each if each.wipe is None else replace(each, wipe=next(wipes)) for each in priors]
     return [replace(each, wipe=None if each.wipe is None else next(wipes), videos=shown) for each in fields], told

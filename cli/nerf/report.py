@@ -18,7 +18,7 @@ from priors.report.page import Page
 from priors.report.sample import Sample
 from priors.report.scores import DriveScores
 
-EXAMPLES = """Write one page of runs: table, held-out views to compare by a slider, course of the fits, videos, settings.
+EXAMPLES = """Write one page of runs: table, held-out views to compare by a slider, plots, videos, settings.
 The file holds all that it shows: it opens from a disk, without a network.
 
 examples:
@@ -73,12 +73,11 @@ def write_story(page: Page, path: Path, shown: tuple[list[FieldScores], list[Dri
     """Write a page, and say how large it is and what it had no room for."""
     page.write(path)
     fields, priors = fitting(*shown, sample.room)
-    for wanted, kept in zip((*shown[0], *shown[1]), (*fields, *priors), strict=True):
-        if wanted.wipe and kept.wipe and len(kept.wipe.views) < len(wanted.wipe.views):
-            out.print(
-                f"{wanted.drive}: {len(kept.wipe.views)} of {len(wanted.wipe.views)} frames are pictured: the others "
-                f"do not fit into --megabytes {sample.megabytes:g}"
-            )
+    wanted = [each.wipe for each in shown[1]] + [each.wipe for each in shown[0]]
+    kept = [each.wipe for each in priors] + [each.wipe for each in fields]
+    lacking = sum(len(one.views) - len(own.views) for one, own in zip(wanted, kept, strict=True) if one and own)
+    if lacking:
+        out.print(f"{lacking} pictured frames are left out: they do not fit into --megabytes {sample.megabytes:g}")
     if any(each.video_files and not each.videos for each in fields):
         err.print(f"videos are left out: they do not fit into --megabytes {sample.megabytes:g}")
     out.print(f"wrote {path}, {path.stat().st_size / 1e6:.1f} MB")

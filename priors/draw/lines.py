@@ -124,11 +124,21 @@ def _draw(axes: "Axes", plot: Plot) -> "list[Line2D]":
     if not any(each.size for each in values):
         axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", color=figure.FAINT)
     elif plot.y_scale == "log":
-        axes.set_yscale("log")
+        _scale_y_by_logarithm(axes)
     elif plot.from_zero and min(float(each.min()) for each in values if each.size) >= 0:
         axes.set_ylim(bottom=0)
     _scale_x(axes, plot)
     return drawn
+
+
+def _scale_y_by_logarithm(axes: "Axes") -> None:
+    """Set a logarithmic y axis, its ticks plain numbers: text is not parsed for mathematics."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _scale_x(axes: "Axes", plot: Plot) -> None:

@@ -74,7 +74,10 @@ def priors_chapter(scored: DriveScores, keys: Sequence[str] | None) -> Chapter:
     missing = [f"{what}: {why}" for what, why in scored.left_out.items()]
     figures: list[Block] = []
     if scored.results:
-        figures = [Ranking(table.table_of(scored.results, keys)), *(Paragraph(f"Left out: {line}") for line in missing)]
+        figures = [
+            Ranking(table.table_of(scored.results, keys or table.brief_first(scored.results))),
+            *(Paragraph(f"Left out: {line}") for line in missing),
+        ]
     elif missing:
         figures = [Paragraph(f"Not scored: {line}") for line in missing]
     return Chapter(

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import cv2
+import numpy as np
 
 from priors import codecs
 from priors.report.legend import Legend
@@ -146,15 +147,20 @@ class Wipe:
 
 def photograph(source: str, kind: str, image: Image, size: tuple[int, int], note: str = "") -> Layer:
     """Make the layer of a photograph, RGB or grey, shrunk to `size`."""
-    shrunk = cv2.resize(image, size[::-1], interpolation=cv2.INTER_AREA) if image.shape[:2] != size else image
-    return Layer(source, kind, codecs.encode_image(Path("a.jpg"), shrunk, JPEG_QUALITY), "image/jpeg", note)
+    data = codecs.encode_image(Path("a.jpg"), _resized(image, size, cv2.INTER_AREA), JPEG_QUALITY)
+    return Layer(source, kind, data, "image/jpeg", note)
 
 
 def coloured(source: str, kind: str, picture: Image, size: tuple[int, int], note: str = "") -> Layer:
     """Make the layer of a coloured map, RGB: every colour stays one of its legend's."""
-    shrunk = cv2.resize(picture, size[::-1], interpolation=cv2.INTER_NEAREST) if picture.shape[:2] != size else picture
-    data = codecs.encode_lossless(shrunk)
+    data = codecs.encode_lossless(_resized(picture, size, cv2.INTER_NEAREST))
     return Layer(source, kind, data, "image/webp", note)
+
+
+def _resized(image: Image, size: tuple[int, int], interpolation: int) -> Image:
+    if image.shape[:2] == size:
+        return image
+    return np.asarray(cv2.resize(image, size[::-1], interpolation=interpolation), np.uint8)
 
 
 def shown_size(size: tuple[int, int], width_px: int) -> tuple[int, int]:
