@@ -17,7 +17,7 @@ from nerf.comparison import views_wipe
 from nerf.page import FieldScores, lay_out
 from nerf.pictures import compare, load_view
 from nerf.report import Report
-from nerf.run import Run
+from nerf.run import Run, find
 from nerf.story import story_page
 from nerf.truths import Truths
 from priors import codecs
@@ -36,8 +36,6 @@ examples:
   nerf eval runs/a runs/b --pictures pictures       image, depth and error of each, a picture a held-out view
   nerf eval runs/a --lpips-weights squeezenet1_1_fp16.npz squeeze.pth
 """
-RUN = "config.json"
-"""What a run's folder has."""
 WRITERS = {".md": typeset.markdown, ".tex": typeset.latex, ".txt": typeset.plain}
 
 
@@ -81,7 +79,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _score(args: ReportArguments, command: str) -> int:
-    folders = runs_of(args.runs)
+    folders = [folder for path in args.runs for folder in find(path)]
     runs, reports = report_runs(folders, args.data, args.device, args.lpips.open())
     laid = print_table(reports)
     for path in args.save:
@@ -129,18 +127,6 @@ def scored_fields(runs: Sequence[Run], reports: Sequence[Report], sample: Sample
         figures = {(run.name, frame.frame): frame.figures() for run, report in made for frame in report.frames}
         scored.append(FieldScores(own, [report for _, report in made], views_wipe(own, figures, sample)))
     return scored
-
-
-def runs_of(named: Sequence[Path]) -> list[Path]:
-    """Return the runs' folders: those that are named, and those that a named folder holds."""
-    folders: list[Path] = []
-    for path in named:
-        is_run = (path / RUN).exists() or not path.is_dir()
-        held = [path] if is_run else [inner.parent for inner in path.glob(f"*/{RUN}")]
-        if not held:
-            raise DataError(f"{path}: not a run's folder, and no runs in it: `nerf fit` makes one")
-        folders += sorted(held)
-    return folders
 
 
 def _compared(runs: Sequence[Run]) -> Iterator[tuple[str, Image]]:

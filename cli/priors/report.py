@@ -2,13 +2,12 @@
 
 import shlex
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from cli.arguments import drive_key, parse, reopen_drive
+from cli.arguments import by_drive, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out
 from cli.priors.eval import ScoreArguments, score_prior
 from eval.protocol import PRESETS
@@ -71,7 +70,7 @@ def run(arguments: list[str]) -> int:
 def score_caches(args: ReportArguments) -> list[DriveScores]:
     """Score and picture the priors of each drive; a drive that cannot be opened is named and left out."""
     priors = [prior for path in args.caches for prior in cache.find(path)]
-    drives = [list(together) for _, together in groupby(sorted(priors, key=drive_key), key=drive_key)]
+    drives = by_drive(priors)
     scored = []
     for together in drives:
         try:
@@ -87,7 +86,7 @@ def score_caches(args: ReportArguments) -> list[DriveScores]:
 
 def _score_drive(priors: list[Prior], args: ReportArguments) -> DriveScores:
     """Score and picture the priors of one drive; those that cannot be scored are pictured all the same."""
-    drive, made = reopen_drive(priors[0], args.truth, args.data), [prior for prior in priors if prior.ids()]
+    drive, made = reopen_drive(priors, args.truth, args.data), [prior for prior in priors if prior.ids()]
     scored = DriveScores([], priors=dict(zip(labels(made), made, strict=True)), name=drive.name)
     for name in scored.priors:
         try:
