@@ -2,7 +2,9 @@
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from pathlib import Path
 
+from nerf.naming import labels
 from nerf.pictures import colour_error_bar, load_view, paint_colour_error
 from nerf.run import Run
 from nerf.truths import Truths
@@ -13,7 +15,7 @@ from priors.report.frames import DRIVE, frame_note, tried
 from priors.report.legend import Legend, depth_legend, error_legend, hexadecimal
 from priors.report.sample import Sample
 from priors.report.wipe import Kind, Layer, Side, View, Wipe, coloured, photograph, shown_size
-from priors.types import Depth, Drive, Image
+from priors.types import Depth, Frame, Image
 
 LABELS: Mapping[Side, str] = {(DRIVE, "colour"): "image", (DRIVE, "depth"): "true depth"}
 Figures = Mapping[tuple[str, str], Mapping[str, float]]
@@ -22,16 +24,16 @@ Figures = Mapping[tuple[str, str], Mapping[str, float]]
 
 def views_wipe(runs: Sequence[Run], figures: Figures, sample: Sample) -> Wipe | None:
     """Picture held-out views of runs of one drive, from what their reports have rendered; None where there are none."""
-    drive, names = runs[0].drive, [run.name for run in runs]
+    drive, names = runs[0].drive, labels([run.folder for run in runs])
     held_out = {id_ for run in runs for id_ in (run.scene.ids[place] for place in run.scene.test)}
     ids = [id_ for id_ in drive.ids if id_ in held_out]
     size = shown_size(drive[0].camera.size, sample.picture_width)
-    truths = Truths(drive, ids)
-    views = [_view(drive, id_, runs, truths(id_), (figures, size)) for id_ in sample.pick(ids)]
+    truths, named = Truths(drive, ids), dict(zip(names, runs, strict=True))
+    views = [_view(drive[drive.ids.index(id_)], named, truths(id_), (figures, size)) for id_ in sample.pick(ids)]
     views = [view for view in views if len({layer.source for layer in view.layers}) > 1]
     if not views:
         return None
-    alone = next((run.name for run in runs if run.config.prior is None), None)
+    alone = next((name for name, run in named.items() if run.config.prior is None), None)
     others = [name for name in names if name != alone]
     left = (alone or DRIVE, "colour")
     remark = "" if len(views) == len(ids) else f"{len(views)} of {len(ids)} held-out views, spread evenly."
@@ -54,41 +56,39 @@ def kinds() -> dict[str, Kind]:
     }
 
 
-def _view(
-    drive: Drive, id_: str, runs: Sequence[Run], truth: Depth | None, how: tuple[Figures, tuple[int, int]]
-) -> View:
+def _view(frame: Frame, runs: Mapping[str, Run], truth: Depth | None, how: tuple[Figures, tuple[int, int]]) -> View:
     """Draw one held-out view; a run that did not hold it out, or has not rendered it, has no pictures of it."""
     figures, size = how
-    image = tried(drive[drive.ids.index(id_)].image)
+    image = tried(frame.image)
     layers: list[Layer] = [] if image is None else [photograph(DRIVE, "colour", image, size)]
     if truth is not None:
         layers.append(coloured(DRIVE, "depth", panel.depth_tile(truth, "").picture, size))
-    for run in runs:
-        layers += _layers(run, id_, (image, truth), figures.get((run.name, id_), {}), size)
-    return View(id_, layers)
+    for name, run in runs.items():
+        layers += _layers(name, (run.folder, frame.id), (image, truth), figures.get((name, frame.id), {}), size)
+    return View(frame.id, layers)
 
 
 def _layers(
-    run: Run,
-    id_: str,
+    name: str,
+    where: tuple[Path, str],
     true: tuple[Image | None, Depth | None],
     figures: Mapping[str, float],
     size: tuple[int, int],
 ) -> list[Layer]:
     try:
-        rgb, depth = load_view(run.folder / "renders", id_)
+        rgb, depth = load_view(where[0] / "renders", where[1])
     except DataError:
         return []  # it trains on this frame
     image, truth = true
     psnr = f"PSNR {figures['psnr']:.2f} dB" if figures else ""
     layers = [
-        photograph(run.name, "colour", rgb, size, psnr),
-        coloured(run.name, "depth", panel.depth_tile(depth, "").picture, size),
+        photograph(name, "colour", rgb, size, psnr),
+        coloured(name, "depth", panel.depth_tile(depth, "").picture, size),
     ]
     if truth is not None:
-        layers.append(coloured(run.name, "depth_error", panel.error_tile(depth, truth).picture, size, _note(figures)))
+        layers.append(coloured(name, "depth_error", panel.error_tile(depth, truth).picture, size, _note(figures)))
     if image is not None and image.shape == rgb.shape:
-        layers.append(coloured(run.name, "colour_error", paint_colour_error(rgb, image), size, psnr))
+        layers.append(coloured(name, "colour_error", paint_colour_error(rgb, image), size, psnr))
     return layers
 
 

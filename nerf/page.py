@@ -13,6 +13,7 @@ import numpy as np
 from eval import typeset
 from eval.typeset import Column, Table
 from nerf.config import FitConfig
+from nerf.naming import labels
 from nerf.report import Report
 from nerf.run import Run
 from nerf.study_table import COLUMNS
@@ -52,23 +53,35 @@ class FieldScores:
     """Whether the runs' videos have room."""
 
     @property
+    def names(self) -> list[str]:
+        """Return the runs' names, each different."""
+        return labels([run.folder for run in self.runs])
+
+    @property
     def drive(self) -> str:
         """Return the drive's name."""
         return str(self.runs[0].config.drive.get("name") or Path(str(self.runs[0].config.drive.get("path"))).name)
 
     @property
+    def figures(self) -> dict[tuple[str, str], dict[str, float]]:
+        """Return every view's figures, by run and frame."""
+        made = zip(self.names, self.reports, strict=True)
+        return {(name, frame.frame): frame.figures() for name, report in made for frame in report.frames}
+
+    @property
     def video_files(self) -> list[tuple[str, Path]]:
         """List the runs' names and videos, where `nerf video` has written them."""
-        return [(run.name, run.folder / VIDEO) for run in self.runs if (run.folder / VIDEO).is_file()]
+        files = [(name, run.folder / VIDEO) for name, run in zip(self.names, self.runs, strict=True)]
+        return [(name, path) for name, path in files if path.is_file()]
 
 
 def fields_chapter(scored: FieldScores) -> Chapter:
     """Lay out the runs of one drive."""
-    runs, reports = scored.runs, scored.reports
-    table = Ranking(lay_out(reports))
-    first = key_figures(runs, reports)
-    views = by_view([run.name for run in runs], reports) if len(reports[0].frames) > 1 else []
-    fits = courses(runs)
+    names, reports = scored.names, scored.reports
+    table = Ranking(lay_out(names, reports))
+    first = key_figures(scored)
+    views = by_view(names, reports) if len(reports[0].frames) > 1 else []
+    fits = courses(names, scored.runs)
     return Chapter(
         f"Radiance fields of {scored.drive}",
         f"Scored on views that were held out of training. {BEST}",
@@ -78,14 +91,14 @@ def fields_chapter(scored: FieldScores) -> Chapter:
             Section("View by view", [Figure(views)] if views else []),
             Section("Course of the fits", [Figure(fits, 3)] if fits else []),
             Section("Videos", videos(scored)),
-            Section("How the fields were made", [Records([_record(run) for run in runs])]),
+            Section("How the fields were made", [Records(list(map(_record, names, scored.runs)))]),
         ],
     )
 
 
-def lay_out(reports: Sequence[Report]) -> Table:
+def lay_out(names: Sequence[str], reports: Sequence[Report]) -> Table:
     """Lay out a row a run."""
-    rows = [((str(each.info["name"]),), each.metrics()) for each in reports]
+    rows = [((name,), each.metrics()) for name, each in zip(names, reports, strict=True)]
     have = {key for _, figures in rows for key in figures}
     columns = {key: column for key, column in COLUMNS.items() if key in have}
     caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
@@ -93,22 +106,22 @@ def lay_out(reports: Sequence[Report]) -> Table:
     return typeset.lay_out(("run",), columns, rows, caption, remarks)
 
 
-def key_figures(runs: Sequence[Run], reports: Sequence[Report]) -> KeyFigures | None:
+def key_figures(scored: FieldScores) -> KeyFigures | None:
     """Say what a prior brings: a run by colours alone against the best one of the same views, field and budget."""
-    made = list(zip(runs, reports, strict=True))
-    for run, report in made:
+    made = list(zip(scored.names, scored.runs, scored.reports, strict=True))
+    for name, run, report in made:
         if run.config.prior is not None:
             continue
         guided = [
-            (other, found.metrics())
-            for other, found in made
+            (other_name, found.metrics())
+            for other_name, other, found in made
             if other.config.prior is not None and _task(other) == _task(run)
         ]
         if guided:
             best, after = max(guided, key=lambda pair: pair[1]["psnr"])
             before = report.metrics()
             shown = [key for key in KEYS if math.isfinite(before[key]) and math.isfinite(after[key])]
-            note = f"{run.name} → {best.name}"
+            note = f"{name} → {best}"
             return KeyFigures([_key_figure(COLUMNS[key], before[key], after[key], note) for key in shown])
     return None
 
@@ -134,9 +147,9 @@ def videos(scored: FieldScores) -> list[Clip | Paragraph]:
     return [Clip(f"{name}: colour over depth, along the drive's path", path.read_bytes()) for name, path in files]
 
 
-def courses(runs: Sequence[Run]) -> list[Plot]:
+def courses(names: Sequence[str], runs: Sequence[Run]) -> list[Plot]:
     """Plot the fits' logs, a line a run: what is drawn of each stands in COURSES."""
-    logs = [(run.name, _log(run.folder / "metrics.jsonl")) for run in runs]
+    logs = [(name, _log(run.folder / "metrics.jsonl")) for name, run in zip(names, runs, strict=True)]
     plots = []
     for y, x, x_label, y_label in COURSES:
         drawn = [Line(name, *_means(log.get(x, NONE), log.get(y, NONE))) for name, log in logs]
@@ -153,8 +166,8 @@ def _means(x: np.ndarray[Any, Any], y: np.ndarray[Any, Any]) -> tuple[np.ndarray
     return np.array([x[part].mean() for part in parts]), np.array([y[part].mean() for part in parts])
 
 
-def _record(run: Run) -> Record:
-    return Record(run.name, facts(run), [fit_command(run)])
+def _record(name: str, run: Run) -> Record:
+    return Record(name, facts(run), [fit_command(run)])
 
 
 def fit_command(run: Run) -> str:

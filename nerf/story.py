@@ -47,7 +47,7 @@ def fitting(
 def _lead(fields: Sequence[FieldScores]) -> str:
     """Say what the prior brought, in one sentence."""
     for each in fields:
-        found = key_figures(each.runs, each.reports)
+        found = key_figures(each)
         if found is not None and found.figures:
             figures = [(one.label.split(",")[0], f"{one.before} → {one.after} {one.unit}") for one in found.figures]
             changes = ", ".join(f"{label} {change}".strip() for label, change in figures)

@@ -70,7 +70,7 @@ def wipe(name: str, frames: int = 2, size: tuple[int, int] = (20, 30)) -> Wipe:
     """Frames whose brightness tells their number, with a depth that tells it too."""
     views = []
     for number in range(frames):
-        grey = np.full((*size, 3), 40 + 50 * number, np.uint8)
+        grey = np.full((*size, 3), 40 + 20 * number, np.uint8)
         depth = colour_depth(np.full(size, 10.0 + number, np.float32))
         views.append(
             View(
@@ -140,7 +140,7 @@ def test_pictures_are_kept_as_they_were() -> None:
     assert [view["id"] for view in content["views"]] == ["stereo0", "stereo1", "stereo2"]
     for number, view in enumerate(content["views"]):
         image, depth = (decoded(view["layers"][side][0]) for side in (0, 1))
-        assert np.abs(image.astype(int) - (40 + 50 * number)).max() < 3
+        assert np.abs(image.astype(int) - (40 + 20 * number)).max() < 3
         assert (depth == colour_depth(np.full((20, 30), 10.0 + number, np.float32))).all(), "a map keeps every bit"
     assert content["sides"][1] == {"source": "stereo", "kind": "depth", "name": "stereo: depth"}
     assert made.buttons == [], "a single prior needs no button"

@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,10 +14,11 @@ from cli.nerf.arguments import open_moved
 from eval import lpips, typeset
 from eval.files import write_bytes
 from nerf.comparison import views_wipe
+from nerf.naming import labels
 from nerf.page import FieldScores, lay_out
 from nerf.pictures import compare, load_view
 from nerf.report import Report
-from nerf.run import Run, find
+from nerf.run import Run, find_all
 from nerf.story import story_page
 from nerf.truths import Truths
 from priors import codecs
@@ -79,9 +80,9 @@ def run(arguments: list[str]) -> int:
 
 
 def _score(args: ReportArguments, command: str) -> int:
-    folders = [folder for path in args.runs for folder in find(path)]
+    folders = find_all(args.runs)
     runs, reports = report_runs(folders, args.data, args.device, args.lpips.open())
-    laid = print_table(reports)
+    laid = print_table(runs, reports)
     for path in args.save:
         if path.suffix == SUFFIX:
             story_page(scored_fields(runs, reports, Sample()), [], command, Sample().room).write(path)
@@ -124,8 +125,8 @@ def scored_fields(runs: Sequence[Run], reports: Sequence[Report], sample: Sample
     scored = []
     for made in drives.values():
         own = [run for run, _ in made]
-        figures = {(run.name, frame.frame): frame.figures() for run, report in made for frame in report.frames}
-        scored.append(FieldScores(own, [report for _, report in made], views_wipe(own, figures, sample)))
+        of_drive = FieldScores(own, [report for _, report in made])
+        scored.append(replace(of_drive, wipe=views_wipe(own, of_drive.figures, sample)))
     return scored
 
 
@@ -133,12 +134,12 @@ def _compared(runs: Sequence[Run]) -> Iterator[tuple[str, Image]]:
     """Set the views side by side that all runs hold out, of one drive."""
     if not _one_drive(runs):
         raise DataError("--pictures: the runs are of several drives: name the runs of one")
-    drive, scene = runs[0].drive, runs[0].scene
+    drive, scene, names = runs[0].drive, runs[0].scene, labels([run.folder for run in runs])
     ids = [[each.scene.ids[position] for position in each.scene.test] for each in runs]
     truths = Truths(drive, ids[0])
     for id_, position in zip(ids[0], scene.test, strict=True):
         if all(id_ in own for own in ids):
-            views = [(each.name, *load_view(each.folder / "renders", id_)) for each in runs]
+            views = [(name, *load_view(each.folder / "renders", id_)) for name, each in zip(names, runs, strict=True)]
             yield id_, compare(id_, scene.images[position], truths(id_), views)
 
 
@@ -146,9 +147,9 @@ def _one_drive(runs: Sequence[Run]) -> bool:
     return len({each.drive.fingerprint() for each in runs}) == 1
 
 
-def print_table(reports: Sequence[Report]) -> typeset.Table:
+def print_table(runs: Sequence[Run], reports: Sequence[Report]) -> typeset.Table:
     """Print a row a run."""
-    laid = lay_out(reports)
+    laid = lay_out(labels([run.folder for run in runs]), reports)
     if out.is_terminal:
         out.print(typeset.render(laid, out.width))
     else:

@@ -13,7 +13,7 @@ from cli.nerf.eval import LpipsArguments, report_runs, scored_fields
 from cli.priors import report as priors_report
 from cli.priors.report import check_page
 from nerf.page import FieldScores
-from nerf.run import find
+from nerf.run import find_all
 from nerf.story import fitting, story_page
 from priors.report.page import Page
 from priors.report.sample import Sample
@@ -59,7 +59,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _write(args: StoryArguments, command: str) -> int:
-    folders = [folder for path in args.runs for folder in find(path)]
+    folders = find_all(args.runs)
     runs, reports = report_runs(folders, args.data, args.device, args.lpips.open())
     fields = scored_fields(runs, reports, args.sample)
     priors: list[DriveScores] = []
