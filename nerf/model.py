@@ -30,7 +30,7 @@ class StepResult:
 
 
 class Model(Protocol):
-    """A model of one scene."""
+    """A model of one scene; poses are in the scene's frame (nerf/origin.py)."""
 
     config: ModelConfig
 
