@@ -9,7 +9,7 @@ DEVICE ?= cuda
 INSTALL := -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PIP := $(BIN)/python $(INSTALL)
 
-.PHONY: demo test modes slow mesh lint types bench gpu gpu-pack clean
+.PHONY: demo test modes slow browser mesh lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -28,7 +28,7 @@ demo: $(VENV)/.installed  ## the embedded street: written, turned into three pri
 	$(BIN)/priors show $(DEMO)/cache --frames 5 --out $(DEMO)/pictures
 
 test: $(VENV)/.dev  ## the quick tests
-	$(BIN)/python -m pytest -m "not slow"
+	$(BIN)/python -m pytest -m "not slow and not browser"
 
 # What is compiled or chosen by the CPU's mode: fields, their fit, networks.
 MODE_TESTS := $(addprefix tests/test_,nerf_mlp.py nerf_field.py nerf_grid.py nerf_render.py nerf_sample.py \
@@ -41,6 +41,14 @@ modes: $(VENV)/.dev  ## the same in every CPU mode that this CPU can stand in fo
 
 slow: $(VENV)/.dev  ## the slow ones
 	$(BIN)/python -m pytest -m slow
+
+$(VENV)/.browser: $(VENV)/.dev
+	$(PIP) --editable .[dev] playwright
+	touch $@
+
+browser: $(VENV)/.browser  ## pages in a real browser: Chromium, which is installed by apt-get where that can be done
+	.ci/chromium
+	ROADPRIOR_BROWSER=required $(BIN)/python -m pytest -q -m browser
 
 $(MESH_VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(MESH_VENV)

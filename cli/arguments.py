@@ -1,18 +1,22 @@
 """Flags that several commands share."""
 
-from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
 import tyro
 
+from cli import mistakes
+from cli.console import err
 from cli.renamed import translate
-from priors import drives
+from priors import cache, drives
 from priors.cache import Prior
 from priors.drives import DriveOptions
-from priors.errors import UsageError
+from priors.errors import DataError, expect_between
 from priors.machine import threads
+from priors.places import the_place
 from priors.types import Drive
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
@@ -27,15 +31,20 @@ Parsed = TypeVar("Parsed")
 class DriveArguments:
     """Where a drive is and which part of it to read."""
 
-    data: Annotated[Path, tyro.conf.Positional]
-    """The drive's folder, as downloaded, or its parent with --drive."""
+    data: Annotated[Path | None, tyro.conf.Positional] = None
+    """The drive's folder, as downloaded, or its parent with --drive; default: the drive in the current folder, or the
+    only one at most three folders down."""
     dataset: DatasetName = "auto"
     """Data set; auto recognises it from the folder."""
     part: tyro.conf.OmitArgPrefixes[DriveOptions] = DriveOptions()
 
-    def open(self) -> Drive:
-        """Open the drive."""
-        return drives.open_drive(self.data, self.dataset, self.part)
+    def open(self, typed: Sequence[str] = ()) -> Drive:
+        """Open the drive; `typed`, program, command and flags, is repeated where there are several to choose from."""
+        if self.data is not None:
+            return drives.open_drive(self.data, self.dataset, self.part)
+        place = the_place(Path(), self.part.drive, typed)
+        err.print(f"drive: {place.path}")
+        return drives.open_drive(place.path, place.dataset, replace(self.part, drive=None))
 
 
 @dataclass(frozen=True)
@@ -46,8 +55,7 @@ class ThreadArguments:
     """Threads to compute with, ours and the libraries'; default: OMP_NUM_THREADS, else every core it may use."""
 
     def __post_init__(self) -> None:
-        if self.threads is not None and self.threads < 1:
-            raise UsageError(f"--threads {self.threads}: expected 1 or more")
+        expect_between(1, self.threads, threads.MOST_THREADS, "--threads")
 
     def limited(self) -> AbstractContextManager[None]:
         """Let what runs inside use so many."""
@@ -59,11 +67,29 @@ def drive_key(prior: Prior) -> tuple[str, ...]:
     return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
 
 
-def reopen_drive(prior: Prior, truth: Path | None) -> Drive:
-    """Open the drive that a prior was made for; `truth` names its depth maps where the build was not told."""
-    return drives.reopen(prior.drive if truth is None else {**prior.drive, "truth": str(truth)})
+def reopen_drive(prior: Prior, truth: Path | None = None, data: Path | None = None) -> Drive:
+    """Open the drive that a prior was made for.
+
+    Args:
+        prior: whose manifest says where it was.
+        truth: names its depth maps where the build was not told.
+        data: where the drive is now; its files must be the same. The manifest is brought up to date.
+    """
+    described = prior.drive if truth is None else {**prior.drive, "truth": str(truth)}
+    if data is None:
+        if not Path(str(described.get("path", ""))).is_dir():
+            raise DataError(f"{described.get('path')}: no such folder: has the drive moved? Name it: --data FOLDER")
+        return drives.reopen(described)
+    options = DriveOptions(described.get("drive"), described.get("camera"), truth)
+    drive = drives.open_drive(data, str(described.get("dataset", "auto")), options)
+    if drive.fingerprint() != prior.manifest.get("fingerprint", drive.fingerprint()):
+        raise DataError(f"--data {data}: is not the drive of {prior.folder}: its calibration, poses or images differ")
+    moved = {**prior.manifest, "drive": {"name": drive.name, **drive.describe()}}
+    with suppress(OSError):  # a cache that cannot be written is told of the new place each time
+        cache.create(prior.folder, moved)
+    return drive
 
 
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:
     """Parse a command's arguments into its dataclass, flags' earlier names too; --help shows its examples first."""
-    return tyro.cli(kind, prog=command, description=examples, args=translate(kind, arguments))
+    return mistakes.parse(kind, command, examples, translate(kind, arguments))

@@ -4,13 +4,12 @@ import threading
 import time
 from pathlib import Path
 
-from rich.console import Console
-from rich.markup import escape
 from rich.progress import ProgressColumn, Task
 from rich.status import Status
 from rich.table import Column as TableColumn
 from rich.text import Text
 
+from cli.terminal import Screen
 from priors.machine import notices
 
 QUIET_S = 2.0
@@ -22,7 +21,7 @@ WORTH_S = 1.0
 class Watch:
     """Counts what is compiled and tells it on a console; a bar that runs there shows `column`."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Screen) -> None:
         self._console, self._lock = console, threading.RLock()
         self._nested = self._functions = self._bars = self._bursts = 0
         self._seconds = self._since = 0.0
@@ -73,9 +72,9 @@ class Watch:
             self._since = time.perf_counter()
             if not self._told:
                 self._told = True
-                self._console.print(f"compiling kernels for this CPU, once ({escape(_kept())})")
-            if self._console.is_terminal and not self._bars:
-                self._status = self._status or Status(self, console=self._console)
+                self._console.print(f"compiling kernels for this CPU, once ({_kept()})")
+            if self._console.moves and not self._bars:
+                self._status = self._status or Status(self, console=self._console, spinner="line")
                 self._status.start()
 
     def _end(self, name: str) -> None:

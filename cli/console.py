@@ -1,12 +1,13 @@
 """What every command shares: one-line errors, exit codes, tables and progress on a terminal or in a pipe."""
 
+import errno
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from rich.console import Console
-from rich.markup import escape
 from rich.progress import (
     BarColumn,
     MofNCompleteColumn,
@@ -18,15 +19,18 @@ from rich.progress import (
 )
 
 from cli.compiling import CompilingColumn, Watch
+from cli.terminal import err as err
+from cli.terminal import out as out
+from cli.terminal import silence
 from priors.errors import DataError, UsageError
 
-PIPE_WIDTH = 160
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
+SILENT_S = 2.0
+"""Work that takes longer says what it does."""
 
-out = Console(highlight=False, emoji=False, width=None if sys.stdout.isatty() else PIPE_WIDTH)
-err = Console(stderr=True, highlight=False, emoji=False, soft_wrap=True)
 watch = Watch(err)
 """Tells when kernels are compiled."""
+LABEL = TextColumn("{task.description}", markup=False)
 
 
 def guarded(command: Callable[[], int]) -> int:
@@ -36,18 +40,30 @@ def guarded(command: Callable[[], int]) -> int:
     try:
         return command()
     except DataError as error:
-        err.print(f"[bold red]error:[/] {escape(str(error))}")
+        err.complain(error)
         return USAGE_ERROR if isinstance(error, UsageError) else DATA_ERROR
     except KeyboardInterrupt:
         err.print("interrupted: what was finished is kept; run the same command again to go on")
         return INTERRUPTED
-    except BrokenPipeError:
+    except BrokenPipeError:  # nobody reads on: `priors list | head`
+        silence(sys.stdout)
         return 0
     except OSError as error:
-        err.print(f"[bold red]error:[/] {escape(str(error.filename or 'file system'))}: {error.strerror}")
+        err.complain(_told(error))
+        return DATA_ERROR
+    except MemoryError as error:
+        err.complain(f"not enough memory ({error or 'no more is given'}): close programs, or ask for less at a time")
         return DATA_ERROR
     finally:
         watch.finish()
+
+
+def _told(error: OSError) -> str:
+    """Say in a line which file the system refuses, and why."""
+    names = [str(name) for name in (error.filename, error.filename2) if name is not None]
+    cause = error.strerror or str(error) or type(error).__name__
+    hint = ": free some space and run the same command again" if error.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+    return f"{' -> '.join(names) or 'file system'}: {cause}{hint}"
 
 
 @contextmanager
@@ -66,15 +82,15 @@ def _refuse_foreign_eval() -> None:
     import eval as ours
 
     if ours.__file__ and Path(ours.__file__).parent.parent != Path(__file__).parent.parent:
-        err.print(f"[bold red]error:[/] another module named eval is first on the path: {ours.__file__}: rename it")
+        err.complain(f"another module named eval is first on the path: {ours.__file__}: rename it")
         raise SystemExit(USAGE_ERROR)
 
 
 @contextmanager
 def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
     """Show a progress bar on a terminal, a line every tenth in a pipe; yields what to call once a step."""
-    if err.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn())
+    if err.moves:
+        columns = (LABEL, BarColumn(), MofNCompleteColumn())
         with _bar(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as bar:
             task = bar.add_task(label, total=total)
             yield lambda *_: bar.advance(task)
@@ -84,10 +100,31 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
     def step(*_: object) -> None:
         nonlocal done
         done += 1
-        if done == total or done % max(1, total // 10) == 0:
+        if 10 * done // total > 10 * (done - 1) // total:
             err.print(f"{label} {done}/{total}")
 
     yield step
+
+
+@contextmanager
+def busy(label: str) -> Iterator[None]:
+    """Say what is being done where nothing can be counted; in a pipe what is done within SILENT_S is not told."""
+    if err.moves:
+        with _bar(LABEL, TimeElapsedColumn()) as bar:
+            bar.add_task(label, total=None)
+            yield
+        return
+    began = time.perf_counter()
+    timer = threading.Timer(SILENT_S, lambda: err.print(f"{label} ..."))
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+        timer.join()
+    if time.perf_counter() - began > SILENT_S:
+        err.print(f"{label}: {time.perf_counter() - began:.0f} s")
 
 
 @contextmanager
@@ -98,9 +135,9 @@ def train_progress(label: str) -> Iterator[Callable[..., None]]:
     def line(status: TrainProgress) -> str:
         return f"step {status.step}, " + ", ".join(f"{k} {v:.3g}" for k, v in status.values.items())
 
-    if err.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        with _bar(*columns, TextColumn("{task.fields[line]}")) as bar:
+    if err.moves:
+        columns = (LABEL, BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        with _bar(*columns, TextColumn("{task.fields[line]}", markup=False)) as bar:
             task = bar.add_task(label, total=1.0, line="")
             yield lambda status: bar.update(task, completed=status.done, line=line(status))
         return
@@ -118,9 +155,9 @@ def fit_progress(label: str) -> Iterator[Callable[..., None]]:
         speed = status.rays / max(status.step_s, 1e-6)
         return f"PSNR {status.psnr:.1f} dB, loss {status.loss:.4f}, {speed / 1e3:.1f} k rays/s, step {status.step}"
 
-    if err.is_terminal:
-        columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
-        with _bar(*columns, TextColumn("{task.fields[line]}")) as bar:
+    if err.moves:
+        columns = (LABEL, BarColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+        with _bar(*columns, TextColumn("{task.fields[line]}", markup=False)) as bar:
             task = bar.add_task(label, total=1.0, line="")
 
             def draw(status: Status) -> None:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
 
-from rich.markup import escape
-
 from cli.console import USAGE_ERROR, err, guarded, out
+from cli.mistakes import nearest
+from cli.stand_ins import say_plainly
 from priors.errors import DataError
 from priors.machine import cpu
 from priors.machine.memory import keep_freed
@@ -27,23 +27,25 @@ class Program:
 
     def main(self) -> None:
         """Run with the process's arguments and exit; the process is ours, so that its memory is too."""
+        say_plainly((sys.stdout, sys.stderr))
         keep_freed()
         raise SystemExit(self.run(sys.argv[1:]))
 
     def run(self, arguments: list[str]) -> int:
         """Run with the arguments; returns the exit code."""
         if not arguments or arguments[0] in ("-h", "--help"):
-            out.print(self._overview(), markup=False)
+            out.print(self._overview())
             return 0
         if arguments[0] == "--version":
             out.print(f"roadprior {version('roadprior')}")
             return 0
         name, rest = arguments[0], arguments[1:]
         if name not in self.commands:
-            err.print(f"[bold red]error:[/] no command {name!r}: choose one of {', '.join(self.commands)}")
+            choices = f"choose one of {', '.join(self.commands)}{nearest(name, list(self.commands))}"
+            err.complain(f"no command {name!r}: {choices}")
             return USAGE_ERROR
         if not {"-h", "--help"}.intersection(rest) and (wrong := _wrong_mode()):
-            err.print(f"[bold red]error:[/] {escape(wrong)}")
+            err.complain(wrong)
             return USAGE_ERROR
         return guarded(lambda: import_module(f"cli.{self.name}.{name}").run(rest))
 

@@ -37,13 +37,27 @@ def translate(kind: type[Any], arguments: list[str]) -> list[str]:
         if not now:
             out.append(word)
             continue
-        err.print(f"{flag} is now {' '.join(now)}", markup=False)
+        err.print(f"{flag} is now {' '.join(now)}")
         if len(now) == 1:
             out.append(now[0] + equals + value)
         else:
             numbers = [value] if equals else _take_numbers(words, len(now))
             out += [part for pair in zip(now, numbers, strict=False) for part in pair]
     return out
+
+
+def groups(kind: type[Any]) -> list[tuple[type[Any], str]]:
+    """Return the configs among a command's arguments, its own first, and what their flags begin with."""
+    return [(group.kind, group.prefix) for group in _groups(_Group(kind, "", ""))]
+
+
+def flags_of(kind: type[Any]) -> set[str]:
+    """Return the flags of a command's arguments, without the dashes; positional arguments are among them."""
+    return {
+        group.prefix + field.name.replace("_", "-")
+        for group in _groups(_Group(kind, "", ""))
+        for field in fields(group.kind)
+    }
 
 
 def _take_numbers(words: list[str], most: int) -> list[str]:

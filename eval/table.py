@@ -55,6 +55,9 @@ PROTOCOL_COLUMNS = {
     "stereo2015": ("density", "epe", "d1", "bad_1", "bad_2", "bad_3", "density_image"),
 }
 """What the readers of a protocol expect to see; DEPTH_COLUMNS for all others."""
+USUAL_BRIEF = ("abs_rel", "rmse", "delta_1", "density")
+BRIEF_COLUMNS = {"kitti-completion": ("rmse", "mae", "density"), "stereo2015": ("epe", "d1", "density")}
+"""What they look at first, where there is no room for more; USUAL_BRIEF for all others."""
 
 
 def table_of(results: Sequence[Result], keys: Sequence[str] | None = None) -> Table:
@@ -109,9 +112,19 @@ def show(results: Sequence[Result], keys: Sequence[str] | None = None, console: 
     """Print the table; plain aligned text where the output is no terminal."""
     console = console or Console()
     if console.is_terminal:
+        fitting = render(results, keys, console.width)
+        if keys is None and len(fitting.columns) < len(render(results).columns):
+            keys = brief_first(results)
         console.print(render(results, keys, console.width))
     else:
-        console.file.write(plain(results, keys))
+        console.print(plain(results, keys), end="", markup=False, highlight=False, soft_wrap=True)
+
+
+def brief_first(results: Sequence[Result]) -> tuple[str, ...]:
+    """Return a protocol's columns with those first that its readers look at first: a narrow terminal drops the last."""
+    name = results[0].protocol.name
+    brief = BRIEF_COLUMNS.get(name, USUAL_BRIEF)
+    return brief + tuple(key for key in PROTOCOL_COLUMNS.get(name, DEPTH_COLUMNS) if key not in brief)
 
 
 def plain(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:

@@ -21,12 +21,12 @@ from eval.files import write_bytes
 from nerf import origin
 from nerf.origin import Offset
 from nerf.scene import Scene
-from nerf.split import split
+from nerf.split import check_views, split
 from nerf.stack import Stack, StackWriter
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
-from priors.selection import select
+from priors.selection import parse_range, select
 from priors.types import Camera, Depth, Drive
 
 LARGEST_STEP_M = 30.0
@@ -45,6 +45,10 @@ class SceneConfig:
     """Range of frames, a:b; None: all."""
     filters: Filters = field(default_factory=Filters)
     """Thin the prior's maps once more, without another cache."""
+
+    def __post_init__(self) -> None:
+        check_views(self.views)
+        parse_range(self.frames)
 
 
 def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]]:
@@ -92,6 +96,15 @@ def open_scene(
     return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test, origin_m)
 
 
+def is_prepared(drive: Drive, config: SceneConfig, folder: Path) -> bool:
+    """Tell whether these frames of just this drive, by its fingerprint, were copied into the folder before."""
+    try:
+        positions = select(drive.ids, config.frames)
+    except DataError:
+        return False
+    return _Preparation(drive, positions, config.filters, folder, silent).home.is_dir()
+
+
 @dataclass(frozen=True)
 class _Preparation:
     """The frames at `positions` of a drive, on their way into files."""
@@ -125,7 +138,7 @@ class _Preparation:
                     step()
             record = {"ids": self.ids, "K": camera.K.tolist(), "size": camera.size, "T_world_cam": poses.tolist()}
             write_bytes(path, json.dumps(record).encode())
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
 
     def stamps(self, prior: Prior) -> dict[str, str]:
         """Return what tells apart the maps of the frames that have one, by frame id.
@@ -187,6 +200,8 @@ class _Preparation:
         name, poses = self.drive.name, []
         for position in self.positions:
             frame = self.drive[position]
+            if frame.T_world_cam is None and "pose" in frame.missing:
+                raise DataError(f"{name}: frame {frame.id} has no pose: {frame.missing['pose']}")
             if frame.T_world_cam is None or not np.isfinite(frame.T_world_cam).all():
                 raise DataError(
                     f"{name}: frame {frame.id} has no pose: a field needs poses (`priors check` tells more)"

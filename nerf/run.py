@@ -7,6 +7,7 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import json
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,14 +21,14 @@ from nerf.fit import OnStep, fit
 from nerf.model import Model
 from nerf.placed import PlacedModel
 from nerf.pictures import save_view
-from nerf.prepare import ProgressBar, SceneConfig, open_scene, silent
+from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
 from priors import cache
 from priors.cache import Prior
-from priors.drives import reopen
+from priors.drives import DriveOptions, open_drive, reopen
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.machine import threads
@@ -88,6 +89,9 @@ class Run:
     @cached_property
     def drive(self) -> Drive:
         """The run's drive."""
+        path = Path(str(self.config.drive.get("path", "")))
+        if self.source is None and not path.is_dir():
+            raise DataError(f"{path}: no such folder: has the drive moved? Name it: --data FOLDER")
         return self.source or reopen(self.config.drive)
 
     @cached_property
@@ -205,7 +209,7 @@ def open_run(folder: Path) -> Run:
     """
     path = folder / "config.json"
     try:
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_text(encoding="utf-8"))
         if record.pop("format") != FORMAT:
             raise DataError(f"{path}: a run of another format: train again")
         return Run(folder, restore(RunConfig, record))
@@ -215,6 +219,24 @@ def open_run(folder: Path) -> Run:
         ) from error
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path}: damaged ({error}): train again") from error
+
+
+def moved(run: Run, data: Path) -> Run:
+    """Return a run whose drive has moved to the folder `data`; its config.json is brought up to date.
+
+    Raises:
+        DataError: that folder holds another drive: the run's images have other calibration or poses.
+    """
+    described = run.config.drive
+    options = DriveOptions(camera=described.get("camera"), truth=described.get("truth"))
+    drive = open_drive(data, str(described.get("dataset", "auto")), options)
+    path = run.folder / "config.json"
+    if not is_prepared(drive, run.config.scene, run.folder.parent / SCENES):
+        raise DataError(f"--data {data}: is not the drive of {run.folder}: its calibration, poses or images differ")
+    config = replace(run.config, drive=drive.describe())
+    with suppress(OSError):  # a run that cannot be written is told of the new place each time
+        write_bytes(path, (json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n").encode())
+    return replace(run, config=config, source=drive)
 
 
 def _comparable(config: RunConfig) -> dict[str, Any]:

@@ -117,6 +117,8 @@ class Job:
         expect(workers >= 1, "--workers", workers, "1 or more")
         plan = self.plan() if plan is None else plan
         report = BuildReport(self.prior, plan, failed=dict(plan.failed))
+        if not plan.todo and self.prior.ids() and cache.load(self.prior.folder).drive != self.prior.drive:
+            cache.create(self.prior.folder, self.prior.manifest)  # the drive has moved
         if plan.todo:
             for note in self.method.notes():
                 on_note(note)

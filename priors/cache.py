@@ -21,6 +21,7 @@ from eval import files
 from eval.files import write_bytes
 from priors import codecs
 from priors.errors import DataError
+from priors.frame_ids import in_order
 from priors.types import Depth
 
 FORMAT = 1
@@ -65,7 +66,7 @@ class Prior:
 
     def ids(self) -> list[str]:
         """List the frames that are done."""
-        return sorted(path.stem for path in (self.folder / "depth").glob("[!.]*.png"))
+        return in_order(path.stem for path in (self.folder / "depth").glob("[!.]*.png"))
 
     def has(self, frame_id: str) -> bool:
         """Tell whether a frame is done: its files are there and whole."""
@@ -92,7 +93,7 @@ class Prior:
             codecs.write_confidence_png(self.confidence_path(frame_id), depth.confidence)
         too_far = codecs.write_depth_png(self.depth_path(frame_id), depth.depth_m)
         line = {"id": frame_id, "seconds": round(seconds, 4), **describe(depth), "too_far": too_far}
-        with (self.folder / "frames.jsonl").open("a") as file:
+        with (self.folder / "frames.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         return line
 
@@ -104,7 +105,7 @@ class Prior:
         """Return frames.jsonl by frame id: the newest line of each; a line cut off by a kill is left out."""
         path = self.folder / "frames.jsonl"
         found = {}
-        for text in path.read_text().splitlines() if path.exists() else []:
+        for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
             try:
                 line = json.loads(text)
                 found[line["id"]] = line
@@ -139,7 +140,7 @@ def load(folder: Path) -> Prior:
     """Open a prior's folder; DataError where its manifest is missing, damaged or of another format."""
     path = folder / "manifest.json"
     try:
-        manifest = json.loads(path.read_text())
+        manifest = json.loads(path.read_text(encoding="utf-8"))
         found = manifest["format"]
         manifest["method"], manifest["drive"]["name"], manifest["key"]
     except FileNotFoundError as error:

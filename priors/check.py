@@ -175,11 +175,17 @@ def _stereo(frames: list[Frame]) -> Iterator[Finding]:
 def _poses(frames: list[Frame]) -> Iterator[Finding]:
     """Do the poses move like a car?"""
     posed = [frame for frame in frames if frame.T_world_cam is not None]
+    spoilt = [frame for frame in frames if frame.T_world_cam is None and "pose" in frame.missing]
+    if spoilt:
+        first = spoilt[0].missing["pose"]
+        yield Finding("fatal", "poses", f"{len(spoilt)} frames have none, the first {spoilt[0].id}: {first}")
     if len(posed) < 2:
+        if spoilt:
+            return
         yield Finding("note", "poses", "no poses: sweeps cannot be accumulated, radiance fields cannot be fitted")
         return
-    if len(posed) < len(frames):
-        lacking = [frame.id for frame in frames if frame.T_world_cam is None]
+    if len(posed) + len(spoilt) < len(frames):
+        lacking = [frame.id for frame in frames if frame.T_world_cam is None and frame not in spoilt]
         yield Finding("warning", "poses", f"{len(lacking)} frames have none: {_some(lacking)}")
     T = np.stack([frame.T_world_cam for frame in posed if frame.T_world_cam is not None])
     skewed = np.abs(T[:, :3, :3] @ T[:, :3, :3].transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > 1e-3

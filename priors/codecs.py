@@ -10,6 +10,7 @@
 """
 
 import io
+import re
 import zipfile
 import zlib
 from pathlib import Path
@@ -27,6 +28,10 @@ PNG_SCALE = {"kitti": 256.0, "mm": 1000.0}
 FARTHEST_M = 250.0
 """The farthest that methods answer: what a kitti depth PNG holds, less a little."""
 LARGEST_CODE = 65535
+_JPEG_MARK = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
+"""A mark; within a scan, 0 after 0xff stands for the value itself, and 0xd0 to 0xd7 begin the data anew."""
+_JPEG_END, _JPEG_BARE = 0xD9, (0x01, 0xD8)
+"""The end, and marks without a segment."""
 
 
 def read_image(path: Path) -> Image:
@@ -55,8 +60,10 @@ def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:
     """Read a uint16 depth (metres) or disparity (px) PNG: float32 (height, width), 0 = no value."""
     codes = _decode(path, cv2.IMREAD_UNCHANGED)
     if codes.dtype != np.uint16 or codes.ndim != 2:
-        kind = f"{codes.dtype} with shape {codes.shape}"
-        raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {kind}: is this a colour map?")
+        channels = 1 if codes.ndim == 2 else codes.shape[2]
+        kind = f"{8 * codes.itemsize} bits and {channels} channel{'s' if channels > 1 else ''}"
+        advice = f"write uint16, metres x {PNG_SCALE[encoding]:.0f}" if channels == 1 else "is this a colour map?"
+        raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {kind}: {advice}")
     return codes.astype(np.float32) / np.float32(PNG_SCALE[encoding])
 
 
@@ -165,12 +172,40 @@ def _read_bytes(path: Path) -> bytes:
 def _decode(path: Path, flags: int) -> npt.NDArray[Any]:
     data = _read_bytes(path)
     # OpenCV 4 fills what a truncated file lacks with zeros or grey, which would pass for "no value" or for a wall.
-    whole = not data.startswith(b"\x89PNG") or b"IEND" in data[-16:]
-    whole &= not data.startswith(b"\xff\xd8") or b"\xff\xd9" in data[-1024:]
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data and whole else None
+    # What follows the end mark is nobody's: cameras and downloads append it, decoders stop at the mark.
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data and _is_whole(data) else None
     if image is None:
         raise DataError(f"{path}: damaged image ({len(data)} bytes): download or build it again")
     return image
+
+
+def _is_whole(data: bytes) -> bool:
+    """Tell whether a PNG or JPEG has its end mark, whatever follows; other formats are the decoder's to judge."""
+    if data.startswith(b"\x89PNG"):
+        return _png_ends(data)
+    return not data.startswith(b"\xff\xd8") or _jpeg_ends(data)
+
+
+def _png_ends(data: bytes) -> bool:
+    """Walk a PNG's chunks (length, name, content, checksum) to IEND."""
+    at = 8
+    while at + 12 <= len(data):
+        if data[at + 4 : at + 8] == b"IEND":
+            return True
+        at += 12 + int.from_bytes(data[at : at + 4], "big")
+    return False
+
+
+def _jpeg_ends(data: bytes) -> bool:
+    """Walk a JPEG's segments and scans to its end mark; the mark of a preview inside a segment is not its own."""
+    at = 2
+    while mark := _JPEG_MARK.search(data, at):
+        code, at = data[mark.end() - 1], mark.end()
+        if code == _JPEG_END:
+            return True
+        if code not in _JPEG_BARE:
+            at += int.from_bytes(data[at : at + 2], "big")
+    return False
 
 
 def _encode(path: Path, pixels: npt.NDArray[Any], options: list[int]) -> bytes:
@@ -178,6 +213,11 @@ def _encode(path: Path, pixels: npt.NDArray[Any], options: list[int]) -> bytes:
     if not done:
         raise DataError(f"{path}: OpenCV cannot write {pixels.dtype} {pixels.shape} as {path.suffix}")
     return data.tobytes()
+
+
+def as_grey(image: Image) -> Image:
+    """Return the image as (height, width), by the luma of ITU-R BT.601."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_RGB2GRAY).astype(np.uint8, copy=False)
 
 
 def as_rgb(image: Image) -> Image:

@@ -5,13 +5,18 @@ from typing import Literal, get_args, get_origin
 
 from eval.errors import DataError as DataError
 
+LARGEST_SEED = 2**63 - 1
+"""Seeds are whole numbers from 0 to this."""
+
 
 class UsageError(DataError):
     """A command that was called wrongly; the command line exits 2."""
 
 
 def expect(holds: bool, flag: str, value: object, wanted: str) -> None:
-    """Raise DataError unless a setting's condition holds: '--lidar.sweeps 0: expected 1 or more'.
+    """Raise unless a setting's condition holds: '--lidar.sweeps 0: expected 1 or more'.
+
+    It is a UsageError where the setting is a flag, else a DataError.
 
     Args:
         holds: the condition; write it so that NaN makes it false.
@@ -20,11 +25,20 @@ def expect(holds: bool, flag: str, value: object, wanted: str) -> None:
         wanted: what would be right.
     """
     if not holds:
-        raise DataError(f"{flag} {value}: expected {wanted}")
+        raise (UsageError if flag.startswith("--") else DataError)(f"{flag} {value}: expected {wanted}")
+
+
+def expect_between(least: int, value: int | None, most: int, flag: str) -> None:
+    """Raise as `expect` does unless a whole number lies between two others, both included; None is no number.
+
+    The largest is far beyond what is of use: with it a slip of the keys (a date, a pasted number) is told at once, and
+    does not fill the memory.
+    """
+    expect(value is None or least <= value <= most, flag, value, f"a whole number from {least} to {most}")
 
 
 def expect_choices(config: object, prefix: str) -> None:
-    """Raise DataError where a field of a config dataclass is not one of its type's literals.
+    """Raise UsageError where a field of a config dataclass is not one of its type's literals.
 
     The command line checks this itself; a config that is made in Python has no other guard.
     """
@@ -33,4 +47,4 @@ def expect_choices(config: object, prefix: str) -> None:
         value = vars(config)[field.name]
         if choices and value not in choices:
             flag = f"--{prefix}{field.name.replace('_', '-')}"
-            raise DataError(f"{flag} {value}: expected one of {', '.join(map(str, choices))}")
+            raise UsageError(f"{flag} {value}: expected one of {', '.join(map(str, choices))}")

@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from functools import partial
 from typing import Any
 
 from priors import methods
@@ -10,13 +9,44 @@ from priors.cache import Prior
 from priors.records import Record, record, upgrade
 
 
-def labels(priors: Sequence[Prior]) -> list[str]:
-    """Name priors shortly, each differently: what was decided for the drive, and the key, only where it is needed."""
-    names = [label(prior) for prior in priors]
-    for longer in (partial(label, decided=True), _with_key):
-        often = Counter(names)
-        names = [name if often[name] == 1 else longer(prior) for name, prior in zip(names, priors, strict=True)]
-    return names
+def labels(priors: Sequence[Prior], long: bool = False) -> list[str]:
+    """Name the priors of a table, each differently.
+
+    A name is short: the method and its network ('stereo cfnet'), then what differs between priors of that name, and
+    the key only where nothing else does. With `long` it is `label`, which tells every unusual setting.
+    """
+    names = [label(prior, decided=True) for prior in priors] if long else _short_names(priors)
+    often = Counter(names)
+    return [name if often[name] == 1 else _with_key(name, prior) for name, prior in zip(names, priors, strict=True)]
+
+
+def _short_names(priors: Sequence[Prior]) -> list[str]:
+    """Name each prior by its method, its network, and what differs between those that share both."""
+    names = [_network_name(prior) for prior in priors]
+    described = [_described(prior) for prior in priors]
+    short = []
+    for name, own in zip(names, described, strict=True):
+        alike = [other for other_name, other in zip(names, described, strict=True) if other_name == name]
+        differing = [text for key, text in own.items() if any(other.get(key) != text for other in alike)]
+        short.append(" ".join([name, *differing]))
+    return short
+
+
+def _network_name(prior: Prior) -> str:
+    """Return 'stereo cfnet', or the method's name alone where its usual model made the maps."""
+    usual, own = _usual_and_own(prior)
+    model = own.get("model")
+    return prior.method if model is None or model == usual.get("model") else f"{prior.method} {model}"
+
+
+def _described(prior: Prior) -> dict[str, str]:
+    """Return what is unusual about a prior but its network, in words, by setting and filter."""
+    usual, own = _usual_and_own(prior)
+    words = {
+        key: f"{key}={_short(value)}" for key, value in own.items() if key != "model" and usual.get(key, value) != value
+    }
+    filters = prior.manifest.get("filters", {})
+    return words | {name: f"+ {_words(name, values)}" for name, values in filters.items()}
 
 
 def label(prior: Prior, decided: bool = False) -> str:
@@ -34,8 +64,8 @@ def label(prior: Prior, decided: bool = False) -> str:
     return " + ".join([" ".join([prior.method, *settings]), *filters])
 
 
-def _with_key(prior: Prior) -> str:
-    return f"{label(prior)} [{prior.manifest['key'][:6]}]"
+def _with_key(name: str, prior: Prior) -> str:
+    return f"{name} [{prior.manifest['key'][:6]}]"
 
 
 def _short(value: Any) -> str:

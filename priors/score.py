@@ -9,7 +9,7 @@ From Python:
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from eval.curves import Curves, Metric, ScoredPixels, best, curves, join
 from eval.protocol import Protocol, preset
@@ -19,7 +19,7 @@ from priors import drives
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.machine import threads
-from priors.naming import label
+from priors.naming import labels
 from priors.selection import select
 from priors.types import Drive
 
@@ -36,6 +36,8 @@ class Pairs:
     """Frames that have both a map and a truth."""
     against: Prior | None = None
     """Another prior in place of the drive's truth."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Frame id -> why it cannot be scored; known once the pairs were read."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -43,9 +45,19 @@ class Pairs:
     def __iter__(self) -> Iterator[Comparison]:
         places = {id_: index for index, id_ in enumerate(self.drive.ids)}
         for id_ in self.ids:
-            depth = self.prior.read(id_)
-            truth = self.drive[places[id_]].truth() if self.against is None else self.against.read(id_)
+            try:
+                depth = self.prior.read(id_)
+                truth = self.drive[places[id_]].truth() if self.against is None else self.against.read(id_)
+                if depth.depth_m.shape != truth.depth_m.shape:
+                    shapes = f"the map is {depth.depth_m.shape}, the truth {truth.depth_m.shape}"
+                    raise DataError(f"{self.prior.depth_path(id_)}: {shapes}: build it again")
+            except DataError as error:
+                self.left_out[id_] = str(error)
+                continue
             yield Comparison(id_, depth.depth_m, depth.confidence, truth.depth_m)
+        if len(self.left_out) == len(self.ids):
+            first = next(iter(self.left_out))
+            raise DataError(f"{self.prior.folder}: no frame can be scored, the first {first}: {self.left_out[first]}")
 
     @property
     def fx_baseline(self) -> float | None:
@@ -63,6 +75,8 @@ class Score:
     """The scored pixels of all frames, where they were to be kept and the prior has a confidence."""
     fx_baseline: float | None
     """As in Pairs."""
+    unsaved: str | None = None
+    """Why metrics.json could not be written."""
 
     def curves(self) -> list[Curves]:
         """Return the sparsification curves of AbsRel, RMSE and, for pairs, D1; none where no pixels were kept."""
@@ -130,15 +144,19 @@ def score_pairs(
     prior = pairs.prior
     if pairs.against is not None:
         protocol = replace(protocol, truth=pairs.against.name)
-    info = {"prior": label(prior) if name is None else name, "drive": pairs.drive.name, "folder": prior.name}
+    info = {"prior": labels([prior])[0] if name is None else name, "drive": pairs.drive.name, "folder": prior.name}
     parts: list[ScoredPixels] = []
     kept = keep_pixels and (prior.folder / "confidence").is_dir()
     with threads.limited(threads.count()):
         result = score_frames(
             _telling(pairs, on_frame), protocol, pairs.fx_baseline, info, parts.append if kept else None
         )
-    result.save(prior.folder / "metrics.json")
-    return Score(result, join(parts) if kept else None, pairs.fx_baseline)
+    unsaved = None
+    try:
+        result.save(prior.folder / "metrics.json")
+    except OSError as error:  # a cache of somebody else, or a full disk: the figures are told all the same
+        unsaved = f"{prior.folder / 'metrics.json'}: cannot be written ({error.strerror})"
+    return Score(result, join(parts) if kept else None, pairs.fx_baseline, unsaved)
 
 
 def score(

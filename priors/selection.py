@@ -7,7 +7,7 @@ from typing import TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from priors.errors import DataError, expect
+from priors.errors import DataError, UsageError, expect
 from priors.types import Frame
 
 Item = TypeVar("Item")
@@ -44,10 +44,12 @@ def parse_range(frames: str | None, flag: str = "--frames") -> tuple[int, int]:
         return 0, LARGEST_FRAME_NUMBER
     first, colon, last = frames.partition(":")
     try:
-        low = int(first) if first else 0
-        return low, (int(last) if last else LARGEST_FRAME_NUMBER) if colon else low + 1
+        low = int(first) if first or not colon else 0
+        high = (int(last) if last else LARGEST_FRAME_NUMBER) if colon else low + 1
     except ValueError as error:
-        raise DataError(f"{flag} {frames}: expected a:b, for example 5:17") from error
+        raise UsageError(f"{flag} {frames or repr(frames)}: expected a:b, for example 5:17") from error
+    expect(0 <= low < high, flag, frames, "a:b with a below b, both 0 or more: b itself is not taken")
+    return low, high
 
 
 def select(ids: Sequence[str], frames: str | None) -> list[int]:
@@ -55,7 +57,7 @@ def select(ids: Sequence[str], frames: str | None) -> list[int]:
     if frames is None:
         return list(range(len(ids)))
     low, high = parse_range(frames)
-    numeric = all(id_.isdigit() and int(id_) < LARGEST_FRAME_NUMBER for id_ in ids)
+    numeric = all(id_.isdecimal() and int(id_) < LARGEST_FRAME_NUMBER for id_ in ids)
     numbers = [int(id_) for id_ in ids] if numeric else list(range(len(ids)))
     indices = [index for index, number in enumerate(numbers) if low <= number < high]
     if not indices:
@@ -64,15 +66,15 @@ def select(ids: Sequence[str], frames: str | None) -> list[int]:
     return indices
 
 
-def parse_shard(text: str | None) -> tuple[int, int]:
+def parse_shard(text: str | None, flag: str = "--shard") -> tuple[int, int]:
     """Return i and n of a shard i/n; 1 and 1 for None. DataError where it is none."""
     if text is None:
         return 1, 1
     try:
         part, count = (int(word) for word in text.split("/"))
     except ValueError as error:
-        raise DataError(f"--shard {text}: expected i/n, for example 1/4") from error
-    expect(1 <= part <= count, "--shard", text, "i/n with i from 1 to n")
+        raise UsageError(f"{flag} {text or repr(text)}: expected i/n, for example 1/4") from error
+    expect(1 <= part <= count, flag, text, "i/n with i from 1 to n")
     return part, count
 
 
@@ -101,7 +103,7 @@ def parse_hold_out(text: str) -> slice | int | None:
             raise ValueError("a step of 0")
         return cut
     except (ValueError, TypeError) as error:
-        raise DataError(f"--mono.hold-out {text}: expected start:stop:step, for example 9::10, or none") from error
+        raise UsageError(f"--mono.hold-out {text}: expected start:stop:step, for example 9::10, or none") from error
 
 
 def held_out(indices: Sequence[int], text: str) -> set[int]:
@@ -128,7 +130,8 @@ class MotionGate:
         if self.min_motion_m <= 0:
             return None
         if frame.T_world_cam is None:
-            raise DataError(f"frame {frame.id}: --min-motion needs poses, this drive has none: leave it out")
+            why = frame.missing.get("pose", "this drive has none")
+            raise DataError(f"frame {frame.id}: --min-motion needs poses: {why}: leave it out")
         position_m = frame.T_world_cam[:3, 3]
         if self.last_m is not None:
             moved_m = float(np.linalg.norm(position_m - self.last_m))

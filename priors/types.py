@@ -108,7 +108,7 @@ class Frame:
     readers: Mapping[str, Callable[..., Any]]
     """What can be read, by the names of Input. Each is called only when needed."""
     missing: Mapping[str, str] = field(default_factory=dict)
-    """Why a reader is not there and what to do, one line each."""
+    """Why a reader is not there and what to do, one line each; under "pose", why a pose that should be there is not."""
     T_world_cam: Matrix | None = None
     """(4, 4) camera to world, metres."""
     T_cam_lidar: Matrix | None = None
@@ -131,6 +131,12 @@ class Frame:
         if what not in self.readers:
             raise DataError(f"frame {self.id}: {self.missing.get(what, f'this drive has no {what}')}")
         return self.readers[what](*args)
+
+    def pose(self) -> Matrix:
+        """Return T_world_cam, or raise DataError with the drive's reason why it is not known."""
+        if self.T_world_cam is None:
+            raise DataError(f"frame {self.id}: {self.missing.get('pose', 'it has no pose')}")
+        return self.T_world_cam
 
     def image(self) -> Image:
         """Read this camera's image: uint8 (h, w, 3) RGB, or (h, w) where the camera is grey."""

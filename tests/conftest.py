@@ -6,6 +6,7 @@ from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import Any
 
+import browser as browsers
 import pytest
 from factories import write_argoverse_stereo, write_argoverse_tracking, write_folder, write_odometry, write_raw
 
@@ -61,6 +62,13 @@ def stereo_log(tmp_path: Path) -> Path:
 def image_folder(tmp_path: Path) -> Path:
     """A tiny folder of images with calib.json (factories.write_folder)."""
     return write_folder(tmp_path / "mine")
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[browsers.Browser]:
+    """This machine's Chromium (browser.py); skips where there is none."""
+    with browsers.started() as running:
+        yield running
 
 
 FullDisk = Callable[[int], AbstractContextManager[None]]

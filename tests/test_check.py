@@ -75,7 +75,7 @@ def test_missing_scans_and_gaps_are_listed(tmp_path: Path) -> None:
 def test_a_damaged_pose_is_fatal_and_the_rest_is_audited(raw_drive: Path) -> None:
     (raw_drive / "oxts" / "data" / "0000000002.txt").write_text("nan " * 6)
     findings = audit(raw_drive)
-    assert any(level == "fatal" and "0000000002.txt" in text for level, text in told(findings, "frames"))
+    assert any(level == "fatal" and "0000000002.txt" in text for level, text in told(findings, "poses"))
     assert told(findings, "stereo")[0][0] == "ok" and told(findings, "lidar")[0][0] == "ok"
 
 

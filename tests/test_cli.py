@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 import pytest
 
+from priors import codecs
+
 PRIORS = Path(sys.executable).parent / "priors"
 FRAMES = 6
 
@@ -104,18 +106,19 @@ def test_a_changed_flag_makes_another_folder(built: Path, street: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["show", "--every", 0], "--every 0: expected 1 or more"),
-        (["show", "--width", -5], "--width -5: expected 16 or more pixels"),
+        (["show", "--every", 0], "--every 0: expected a whole number from 1"),
+        (["show", "--width", -5], "--width -5: expected a whole number from 16"),
         (["show", "--frames", "a:b"], "--frames a:b: expected a:b, for example 5:17"),
         (["eval", "--metrics", "abs_rel", "magic"], "--metrics magic: expected some of density, "),
-        (["build", ".", "--method", "stereo", "--workers", 0], "--workers 0: expected 1 or more"),
+        (["build", ".", "--method", "stereo", "--workers", 0], "--workers 0: expected a whole number from 1"),
         (["build", ".", "--method", "mono", "--mono.hold-out", "x"], "--mono.hold-out x: expected start:stop:step"),
-        (["street", "other", "--seed", -1], "street: seed -1: expected 0 or more"),
+        (["street", "other", "--seed", -1], "--seed -1: expected a whole number from 0"),
     ],
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, list) else "",
 )
 def test_what_cannot_be_is_one_line(built: Path, arguments: list[object], says: str) -> None:
-    assert fail(*arguments, cwd=built).startswith(f"error: {says}")
+    wrong_flag = says.startswith("--")
+    assert fail(*arguments, cwd=built, code=2 if wrong_flag else 1).startswith(f"error: {says}")
 
 
 def test_results_of_two_protocols_do_not_mix(built: Path) -> None:
@@ -345,3 +348,30 @@ def test_usage_errors_exit_2(tmp_path: Path, arguments: list[str]) -> None:
 def test_every_command_has_help_made_of_examples(tmp_path: Path, command: str) -> None:
     assert f"priors {command} " in succeed(command, "--help", cwd=tmp_path)
     assert command in succeed("--help", cwd=tmp_path)
+
+
+def test_the_drive_and_the_method_may_be_left_out(street: Path, tmp_path: Path) -> None:
+    assert "`priors street street/` makes the embedded one" in fail("build", cwd=tmp_path, code=2)
+    (tmp_path / "below").mkdir()
+    (tmp_path / "below" / "here").symlink_to(drive_folder(street))
+    assert "priors build --frames 0:1 --method stereo" in fail("build", "--frames", "0:1", cwd=tmp_path, code=2)
+    words = ["build", "--frames", "0:1", "--lidar.sweeps", "3", "--method"]
+    assert "--lidar.sweeps: a flag of another method" in fail(*words, "stereo", cwd=tmp_path, code=2)
+    done = priors(*words, "auto", cwd=tmp_path)
+    assert done.returncode == 0
+    assert "method: stereo: it has a stereo pair" in done.stderr and "--lidar.sweeps: not used" in done.stderr
+    shutil.copytree(drive_folder(street), tmp_path / "second")
+    done = priors("build", "--method", "stereo", cwd=tmp_path)
+    assert done.returncode == 2 and "priors build second --method stereo" in done.stderr
+
+
+def test_a_bad_truth_and_a_moved_drive_cost_no_table(copy: Path, tmp_path: Path) -> None:
+    succeed("build", copy, "--method", "stereo", "--frames", "0:2", "--cache", "c", cwd=tmp_path)
+    moved = copy.rename(tmp_path / "moved")
+    assert "has the drive moved? Name it: --data FOLDER" in fail("eval", "c", cwd=tmp_path)
+    succeed("eval", "c", "--data", moved, cwd=tmp_path)
+    truth = next(moved.rglob("groundtruth/image_02/0000000000.png"))
+    codecs.write_depth_png(truth, codecs.read_depth_png(truth)[::2, ::2])
+    done = priors("eval", "c", cwd=tmp_path)
+    assert done.returncode == 1
+    assert "AbsRel" in done.stdout and "left out: stereo" in done.stderr and truth.name in done.stderr

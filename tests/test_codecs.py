@@ -185,3 +185,48 @@ def test_paths_may_hold_any_letters(tmp_path: Path) -> None:
     assert codecs.read_image(folder / "画像.jpg").shape == (8, 8)
     assert codecs.read_float_map(folder / "é.pfm")[0, 0] == 1
     assert sorted(path.name for path in folder.iterdir()) == sorted(["größe.png", "画像.jpg", "é.pfm"])
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg"])
+def test_bytes_behind_an_image_are_nobodys_and_a_cut_one_is_damaged(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"image{suffix}"
+    codecs.write_image(path, np.random.default_rng(0).integers(0, 255, (32, 48, 3), dtype=np.uint8))
+    image, data = codecs.read_image(path), path.read_bytes()
+    for tail in (bytes(512), bytes(4096), b"IEND", b"\xff"):
+        path.write_bytes(data + tail)
+        assert np.array_equal(codecs.read_image(path), image)
+    for kept in (len(data) // 2, len(data) - 13):
+        path.write_bytes(data[:kept])
+        with pytest.raises(DataError, match="damaged image"):
+            codecs.read_image(path)
+
+
+def test_a_preview_inside_a_jpeg_does_not_end_it(tmp_path: Path) -> None:
+    """Phones put a small JPEG into a segment, and a film behind the end; both hold marks of their own."""
+    small = codecs.encode_image(tmp_path / "a.jpg", np.full((8, 8), 90, np.uint8))
+    image = np.random.default_rng(0).integers(0, 255, (32, 48), dtype=np.uint8)
+    data = codecs.encode_image(tmp_path / "a.jpg", image)
+    with_preview = data[:2] + b"\xff\xe1" + (len(small) + 2).to_bytes(2, "big") + small + data[2:]
+    path = tmp_path / "a.jpg"
+    path.write_bytes(data)
+    expected = codecs.read_image(path)
+    path.write_bytes(with_preview + b"\xff\xda film")
+    np.testing.assert_array_equal(codecs.read_image(path), expected)
+    for kept in (len(small) + 10, len(with_preview) // 2, len(with_preview) - 2):
+        path.write_bytes(with_preview[:kept])
+        with pytest.raises(DataError, match="damaged image"):
+            codecs.read_image(path)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "told"),
+    [
+        (np.ones((4, 6), np.uint8), "8 bits and 1 channel: write uint16, metres x 256"),
+        (np.ones((4, 6, 3), np.uint8), "8 bits and 3 channels: is this a colour map"),
+        (np.ones((4, 6, 3), np.uint16), "16 bits and 3 channels"),
+    ],
+)
+def test_a_png_that_is_no_depth_map_is_told(tmp_path: Path, pixels: np.ndarray, told: str) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), pixels)
+    with pytest.raises(DataError, match=told):
+        codecs.read_float_map(tmp_path / "a.png")

@@ -22,9 +22,9 @@ CARDS = sorted((ROOT / "priors" / "weights").glob("*.md"))
 CODE = sorted(path for top in ("priors", "nerf", "eval", "cli") for path in (ROOT / top).rglob("*.py"))
 PROGRAMS = {program.name: program for program in (priors.PROGRAM, nerf.PROGRAM)}
 SMALLER = {
-    "--frames 40": "--frames 4",
+    "--frames 40": "--frames 10",  # one is held out
     "--frames 12": "--frames 4",
-    "--size 1242x375": "--size 320x96",
+    "--size 1242x375": "--size 208x64",
     "--time 60s": "--time 2s",
 }
 

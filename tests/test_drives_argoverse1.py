@@ -222,7 +222,10 @@ def test_damaged_pose_and_sweep_spoil_their_own_frames(tracking_log: Path) -> No
     sweep.write_bytes(sweep.read_bytes()[:-4])
     drive = open_drive(tracking_log, options=RING)
     with pytest.raises(DataError, match=rf"{AV_START_NS}\.json: expected a quaternion .* all finite"):
-        drive[0]
+        drive[0].pose()
+    with pytest.raises(DataError, match=rf"{AV_START_NS}\.json: expected a quaternion"):
+        drive[0].sweep()  # it cannot be placed
+    assert drive[0].image().shape == (1200, 1920)
     with pytest.raises(DataError, match=r"\.ply: damaged PLY file \(truncated: 3 vertices announced, 2 found\)"):
         drive[1].sweep()
 
@@ -242,7 +245,8 @@ def test_nearest_is_the_nearest(times: list[int], time: int, within: int) -> Non
         assert found in close and abs(found - time) == min(abs(t - time) for t in close)
 
 
-POINTS = st.lists(st.tuples(*[st.floats(-200, 200, width=32)] * 3), min_size=1, max_size=20)
+METRES = st.floats(-200, 200, width=32).filter(lambda value: abs(value) > 0.01)
+POINTS = st.lists(st.tuples(METRES, METRES, METRES), min_size=1, max_size=20)
 
 
 @given(POINTS)

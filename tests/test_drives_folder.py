@@ -14,6 +14,7 @@ from priors import codecs
 from priors.drives import DriveOptions, open_drive, reopen
 from priors.drives._rigs import KITTI
 from priors.errors import DataError
+from priors.pairs.read import read_pair
 
 
 def test_reads_pair_truth_and_poses(image_folder: Path) -> None:
@@ -120,8 +121,47 @@ def test_pose_count_unlike_the_images_is_named(image_folder: Path) -> None:
     path = image_folder / "poses.txt"
     path.write_text("".join(path.read_text().splitlines(True)[:2]))
     drive = open_drive(image_folder)
+    assert drive[0].other().shape == (*SIZE, 3)  # stereo needs no pose
     with pytest.raises(DataError, match=r"poses\.txt: 2 poses for 3 left images"):
-        drive[0]
+        drive[0].pose()
+
+
+def test_numbers_sort_and_join_as_numbers(image_folder: Path) -> None:
+    names = dict(zip("abc", ("9", "10", "0011"), strict=True))
+    for path in list(image_folder.glob("*/*.png")):
+        folder, number = path.parent.name, names[path.stem]
+        path.rename(path.with_name(f"{number if folder == 'left' else number.zfill(6)}.png"))
+    lines = (image_folder / "poses.txt").read_text().splitlines()
+    numbered = [f"{int(number):06d} {line}" for number, line in zip(names.values(), lines, strict=True)]
+    (image_folder / "poses.txt").write_bytes("\r\n".join(["# h\u00f6he", *reversed(numbered)]).encode("latin-1"))
+    drive = open_drive(image_folder)
+    assert list(drive.ids) == ["9", "10", "0011"]
+    for frame, line in zip(drive, lines, strict=True):
+        assert frame.has("other") and np.allclose(frame.pose()[:3].ravel(), np.array(line.split(), float))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_text_that_windows_wrote_is_read(image_folder: Path, encoding: str) -> None:
+    poses = [frame.pose() for frame in open_drive(image_folder)]
+    for name in ("calib.json", "poses.txt"):
+        text = (image_folder / name).read_text()
+        (image_folder / name).write_bytes(text.replace("\n", "\r\n").encode(encoding))
+    assert np.array_equal([frame.pose() for frame in open_drive(image_folder)], poses)
+
+
+def test_a_grey_left_and_a_coloured_right_match_in_grey(image_folder: Path) -> None:
+    for path in (image_folder / "left").glob("*.png"):
+        codecs.write_image(path, codecs.as_grey(codecs.read_image(path)))
+    pair = read_pair(open_drive(image_folder)[0])
+    assert pair.left.shape == pair.right.shape == SIZE
+
+
+@pytest.mark.parametrize("name", [".", "left/..", "../{}/"])
+def test_a_folder_has_its_name_however_it_is_called(
+    image_folder: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(image_folder)
+    assert open_drive(Path(name.format(image_folder.name))).name == image_folder.name
 
 
 def test_one_damaged_image_does_not_close_the_folder(image_folder: Path) -> None:

@@ -1,5 +1,6 @@
 """The KITTI odometry reader: layouts, poses, and what it says about partial downloads."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -87,9 +88,57 @@ def test_bad_pose_spoils_its_own_frame_only(odometry_root: Path) -> None:
     drive = open_drive(odometry_root)
     assert drive[1].T_world_cam is not None and drive[3].T_world_cam is not None
     with pytest.raises(DataError, match=r"06\.txt: line 3: a pose should be 12 finite numbers, found NaN"):
-        drive[2]
+        drive[2].pose()
     with pytest.raises(DataError, match=r"06\.txt: 4 poses, none for frame 000004"):
-        drive[4]
+        drive[4].pose()
+    assert drive[4].image().size  # what needs no pose goes on
+
+
+def test_a_linked_sequence_has_its_poses(odometry_root: Path, tmp_path: Path) -> None:
+    sequence = next(odometry_root.rglob("calib.txt")).parent
+    (tmp_path / "link").symlink_to(sequence)
+    assert np.array_equal(open_drive(tmp_path / "link")[1].pose(), open_drive(sequence)[1].pose())
+
+
+def _with_ids(lines: list[str]) -> list[str]:
+    return [f"{number} {line}" for number, line in reversed(list(enumerate(lines)))]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda lines: ["# made by hand", "", *lines, ""],
+        lambda lines: [part for line in lines for part in (line, "")],  # every line end was doubled
+        _with_ids,
+        lambda lines: [f"{number:.6e} {line}" for number, line in enumerate(lines)],  # numpy.savetxt
+    ],
+    ids=["header", "doubled", "ids", "ids as floats"],
+)
+def test_poses_are_the_frames_own_however_they_are_written(
+    odometry_root: Path, change: Callable[[list[str]], list[str]]
+) -> None:
+    expected = [frame.pose() for frame in open_drive(odometry_root)]
+    path = odometry_root / "poses" / "06.txt"
+    path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
+    np.testing.assert_array_equal([frame.pose() for frame in open_drive(odometry_root)], expected)
+
+
+def test_an_empty_line_among_poses_is_a_pose_that_is_not_there(odometry_root: Path) -> None:
+    expected = open_drive(odometry_root)[3].pose()
+    path = odometry_root / "poses" / "06.txt"
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([*lines[:2], "", *lines[3:]]))
+    drive = open_drive(odometry_root)
+    np.testing.assert_array_equal(drive[3].pose(), expected)
+    with pytest.raises(DataError, match=r"06\.txt: line 3: a pose should be 12 finite numbers, found 0"):
+        drive[2].pose()
+
+
+def test_two_poses_of_one_frame_are_told(odometry_root: Path) -> None:
+    path = odometry_root / "poses" / "06.txt"
+    path.write_text("".join(f"1 {line}\n" for line in path.read_text().splitlines()))
+    with pytest.raises(DataError, match=r"lines 1 and 2 are both of frame 1: drop one"):
+        open_drive(odometry_root)[1].pose()
 
 
 def test_sequence_without_poses(odometry_root: Path) -> None:

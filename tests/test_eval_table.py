@@ -149,3 +149,13 @@ def test_usual_columns_follow_the_protocol(three):
     assert "D1" not in table.plain(three)
     renamed = [replace(r, info={}) for r in three[:1]]
     assert table.plain(renamed).splitlines()[1].startswith("prior ")
+
+
+def test_a_narrow_terminal_shows_what_people_look_at_first(three):
+    screen = Console(file=io.StringIO(), width=80, force_terminal=True, color_system=None)
+    table.show(three, console=screen)
+    heads = screen.file.getvalue().partition("─")[0]
+    places = [heads.index(title) for title in ("AbsRel", "RMSE", "δ<1.25", "density")]
+    assert places == sorted(places) and "δ<1.25²" not in heads
+    table.show(three, ["sq_rel"], screen)
+    assert "SqRel" in screen.file.getvalue()

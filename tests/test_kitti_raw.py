@@ -14,6 +14,7 @@ from priors.drives import DriveOptions, kitti_raw, open_drive, reopen
 from priors.drives._rigs import KITTI
 from priors.errors import DataError
 from priors.geometry import invert, project, scatter_nearest, transform, untwist
+from priors.methods.lidar import Lidar
 
 EARTH_RADIUS_M = 6378137.0
 
@@ -148,7 +149,7 @@ def test_a_bad_oxts_spoils_its_own_frame_only(raw_drive: Path) -> None:
     path.write_text(path.read_text().replace("49.", "nan 49.", 1))
     drive = open_drive(raw_drive)
     with pytest.raises(DataError, match=r"0000000003\.txt: expected 6 finite oxts fields"):
-        drive[3]
+        drive[3].pose()
     assert drive[2].T_world_cam is not None
     assert drive[2].sweep().velocity is not None  # from the pose before
 
@@ -158,7 +159,47 @@ def test_a_bad_first_oxts_leaves_no_pose_and_says_so(raw_drive: Path) -> None:
     drive = open_drive(raw_drive)
     for index in (0, 4):
         with pytest.raises(DataError, match=r"0000000000\.txt: .*sets the drive's world"):
-            drive[index]
+            drive[index].pose()
+
+
+def test_a_linked_drive_has_its_calibration(raw_drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(raw_drive)
+    linked, drive = open_drive(tmp_path / "link"), open_drive(raw_drive)
+    assert np.array_equal(linked[2].pose(), drive[2].pose())
+    assert linked[2].sweep().xyz_m.shape == drive[2].sweep().xyz_m.shape
+
+
+@pytest.mark.parametrize("name", ["calib_velo_to_cam.txt", "calib_imu_to_velo.txt"])
+def test_a_missing_calibration_file_is_named(raw_drive: Path, name: str) -> None:
+    (raw_drive.parent / name).unlink()
+    frame = open_drive(raw_drive)[2]
+    lidar = Lidar().resolve(frame)
+    with pytest.raises(DataError, match=name.replace(".", r"\.") + ": no such file"):
+        lidar(frame)
+
+
+def test_numbers_without_leading_zeros_keep_their_neighbours(raw_drive: Path) -> None:
+    shift = 8  # 8, 9, 10, 11, 12
+    sweeps = [frame.sweep().xyz_m for frame in open_drive(raw_drive)]
+    for folder in [path for path in raw_drive.rglob("data") if path.is_dir()]:
+        for path in sorted(folder.iterdir(), reverse=True):
+            path.rename(path.with_name(f"{int(path.stem) + shift}{path.suffix}"))
+    drive = open_drive(raw_drive)
+    assert [int(id_) for id_ in drive.ids] == sorted(int(id_) for id_ in drive.ids)
+    assert np.array_equal(drive[2].sweep(-1).xyz_m, sweeps[1])
+    assert all(frame.T_world_cam is not None for frame in drive)
+
+
+def test_sweeps_in_another_byte_order_are_no_metres(raw_drive: Path) -> None:
+    path = raw_drive / "velodyne_points" / "data" / "0000000000.bin"
+    values = np.fromfile(path, "<f4")
+    values.astype(">f4").tofile(path)
+    with pytest.raises(DataError, match="values are metres: expected little-endian"):
+        open_drive(raw_drive)[0].sweep()
+    values[:4] = (1e30, 0, 0, 0)
+    values[4:8] = (1e-38, 0, 0, 0)
+    values.tofile(path)
+    assert len(open_drive(raw_drive)[0].sweep().xyz_m) == len(values) // 4 - 2
 
 
 BAD_CALIBRATIONS = [
@@ -215,7 +256,7 @@ def test_damaged_files_are_named_when_read_and_the_drive_opens(raw_drive: Path) 
         drive[1].sweep()
     with pytest.raises(DataError, match=r"0000000002\.bin: empty sweep"):
         drive[2].sweep()
-    with pytest.raises(DataError, match=r"0000000003\.bin: no finite point"):
+    with pytest.raises(DataError, match=r"0000000003\.bin: no point in the sweep"):
         drive[3].sweep()
     assert drive[4].sweep() is not None and drive[4].image() is not None
 

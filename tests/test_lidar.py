@@ -256,6 +256,18 @@ def test_without_poses_the_own_sweep_is_used():
     np.testing.assert_array_equal(Lidar()(unposed).depth_m, Lidar(sweeps=1)(frame).depth_m)
 
 
+def test_a_drive_without_poses_is_told(tmp_path):
+    frame, notes = make_frame(lambda offset: [POLE]), []
+    Lidar(sweeps=1).prepare([frame, replace(frame, T_world_cam=None)], tmp_path, notes.append)
+    assert not notes
+
+    class Unposed(list):
+        name = "mine"
+
+    Lidar(sweeps=1).prepare(Unposed([replace(frame, T_world_cam=None)]), tmp_path, notes.append)
+    assert notes == ["mine: no poses to accumulate sweeps by: each map is made of its own sweep alone"]
+
+
 def read_some(frame, lost, error=False):
     def sweep(offset=0):
         if offset in lost and error:

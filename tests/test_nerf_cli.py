@@ -13,8 +13,10 @@ from safetensors.torch import load_file
 
 from cli.nerf import PROGRAM
 from nerf.pictures import KEPT, picture_path
+from nerf.run import open_run
 from priors import build, codecs
 from priors.drives import open_drive
+from priors.methods.completion import Completion
 from priors.methods.lidar import Lidar
 from priors.street.write import write_street
 
@@ -42,7 +44,7 @@ def nerf(*arguments: object) -> int:
 def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
     """Run what must fail; returns its one line."""
     capsys.readouterr()
-    assert nerf(*arguments) == 1
+    assert nerf(*arguments) in (1, 2)
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
     assert len(lines) == 1
     return lines[0]
@@ -188,3 +190,51 @@ def test_a_full_disk_is_one_line_and_what_was_there_stays(
 def test_what_is_no_run_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for command in ("eval", "render", "video", "export"):
         assert "not a run's folder" in refused(capsys, command, tmp_path)
+
+
+def test_the_drive_and_the_prior_come_from_the_cache(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(home / "cache", "cache")
+    completion = build.prepare(open_drive(home / "street"), Completion(), folder=Path("cache")).run().prior
+    assert nerf("fit", "--prior", "auto", "--steps", 1, "--rays", 64, "--run", "runs/a") == 0
+    said = capsys.readouterr().err
+    assert "prior: completion: no other covers 90%" in said and "another: --prior cache/" in said
+    assert open_run(Path("runs/a")).config.prior == str(completion.folder.resolve())
+    (tmp_path / "runs" / "odd").mkdir()
+    (tmp_path / "runs" / "odd" / "config.json").write_text("{")
+    assert nerf("eval") == 1
+    told = capsys.readouterr()
+    assert "left out: runs/odd" in told.err and re.search(r"^a ", told.out, re.MULTILINE)
+
+
+def test_priors_of_several_drives_are_listed(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(home / "cache", "cache")
+    write_street(tmp_path / "second", 2, 3, SIZE)
+    second = open_drive(tmp_path / "second")
+    build.prepare(second, Lidar(sweeps=1, stereo=False), folder=Path("cache")).run()
+    assert nerf("fit", "--prior", "cache", "--steps", 1) == 2
+    assert f"nerf fit --prior cache/{second.name} --steps 1" in capsys.readouterr().err
+
+
+def test_a_run_finds_its_drive_again(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(home / "street", "street")
+    assert nerf("fit", "street", "--frames", "0:2", "--steps", 1, "--rays", 64, "--run", "runs/a") == 0
+    (tmp_path / "street").rename("moved")
+    assert "has the drive moved? Name it: --data" in refused(capsys, "export", "runs/a")
+    assert "is not the drive of" in refused(capsys, "export", "runs/a", "--frames", "0:2", "--data", another_street())
+    assert nerf("export", "runs/a", "--frames", "0:1", "--data", "moved") == 0
+    assert nerf("export", "runs/a", "--frames", "0:1") == 0
+
+
+def another_street() -> Path:
+    """Write another street here."""
+    write_street(Path("other"), 2, 4, SIZE)
+    return Path("other")

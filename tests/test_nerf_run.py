@@ -108,10 +108,22 @@ def test_views_are_rendered_where_they_are_asked_for(street: Path, tmp_path: Pat
 
 def test_poses_that_cannot_be_read_are_told(tmp_path: Path) -> None:
     camera = Camera(np.eye(3), (4, 4))
-    for text, expected in (("1 2 3", "found 3"), ("a b", "expected 12 numbers"), ("nan " * 12, "12 finite numbers")):
+    for text, expected in (
+        ("1 2 3", "found 3"),
+        ("a b", "line 1: not 12 numbers"),
+        ("# x\n", "found no line"),
+        ("nan " * 12, "12 finite numbers"),
+    ):
         (tmp_path / "poses.txt").write_text(text)
         with pytest.raises(DataError, match=expected):
             read_poses(tmp_path / "poses.txt", camera)
+
+
+def test_poses_that_windows_wrote_are_read(tmp_path: Path) -> None:
+    line = "1 0 0 4 0 1 0 5 0 0 1 6"
+    (tmp_path / "poses.txt").write_bytes(f"\ufeff# route\r\n{line}\r\n{line} # end\r\n".encode("utf-16"))
+    views = read_poses(tmp_path / "poses.txt", Camera(np.eye(3), (4, 4)))
+    assert views.T_world_cam[:, :3, 3].tolist() == [[4, 5, 6]] * 2
 
 
 def test_a_fit_holds_the_libraries_threads_as_the_command_does(street: Path, tmp_path: Path) -> None:

@@ -9,7 +9,7 @@ import pytest
 
 from cli import nerf, priors
 
-LAZY = "onnxruntime onnx skimage matplotlib jinja2 av"
+LAZY = "onnxruntime onnx skimage matplotlib jinja2 av viser"
 """Packages that are imported where they are used."""
 ROOT = Path(__file__).resolve().parents[1]
 

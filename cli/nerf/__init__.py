@@ -10,6 +10,7 @@ PROGRAM = Program(
         "eval": "score a run's held-out views again, or put several runs into one table",
         "render": "render views: the drive's own, or poses from a file",
         "video": "render a video along the drive's path",
+        "view": "look at a field, live in a browser",
         "export": "write a point cloud or a mesh",
         "study": "fit a grid of priors, views, losses and fields; one table",
     },
@@ -19,6 +20,7 @@ PROGRAM = Program(
   nerf fit street/ --prior cache/ --field mip360 --loss urf
   nerf eval runs/*                                                one table
   nerf video runs/NAME
+  nerf view runs/NAME                                             live in a browser
   nerf study street/ --priors cache/* --views dense sparse --field ngp""",
 )
 main = PROGRAM.main

@@ -2,20 +2,21 @@
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from cli.arguments import Device, ThreadArguments, parse
-from cli.console import out, progress
+from cli.console import DATA_ERROR, err, out
+from cli.nerf.arguments import open_moved
 from eval import lpips, typeset
 from eval.files import write_bytes
 from nerf.page import runs_page
 from nerf.pictures import compare, load_view
 from nerf.report import Report
-from nerf.run import Run, open_run
+from nerf.run import Run
 from nerf.study_table import COLUMNS
 from nerf.truths import Truths
 from priors import codecs
@@ -27,12 +28,15 @@ from priors.types import Image
 EXAMPLES = """Score runs' held-out views and print one table; views that were rendered already are not rendered again.
 
 examples:
+  nerf eval                                         all of runs/
   nerf eval runs/street-ngp-sparse
   nerf eval runs/a runs/b runs/c --save table.md table.tex
   nerf eval runs/a runs/b --save report.html        a page with the table, plots, pictures and settings
   nerf eval runs/a runs/b --pictures pictures       image, depth and error of each, a picture a held-out view
   nerf eval runs/a --lpips-weights squeezenet1_1_fp16.npz squeeze.pth
 """
+RUN = "config.json"
+"""What a run's folder has."""
 WRITERS = {".md": typeset.markdown, ".tex": typeset.latex, ".txt": typeset.plain}
 
 
@@ -52,8 +56,10 @@ class LpipsArguments:
 class ReportArguments(ThreadArguments):
     """Arguments of `nerf eval`."""
 
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Runs' folders."""
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("runs"),)
+    """Runs' folders, or folders that hold runs; default: all of runs/."""
+    data: Path | None = None
+    """Where the runs' drive is now, if it has moved."""
     save: tuple[Path, ...] = ()
     """Also write the table: .md, .tex, .txt, or .html, a report page; as many as wanted."""
     pictures: Path | None = None
@@ -75,8 +81,7 @@ def run(arguments: list[str]) -> int:
 
 def _score(args: ReportArguments, command: str) -> int:
     lpips = args.lpips.open()
-    runs = [replace(open_run(folder), progress=progress) for folder in args.runs]
-    reports = [each.report(args.device, lpips) for each in runs]
+    runs, reports = _report_all(args, lpips)
     laid = print_table(reports)
     for path in args.save:
         if path.suffix == SUFFIX:
@@ -92,7 +97,36 @@ def _score(args: ReportArguments, command: str) -> int:
             codecs.write_image(args.pictures / f"{id_}.jpg", image, 90)
             count += 1
         out.print(f"wrote {count} pictures to {args.pictures}")
-    return 0
+    return DATA_ERROR if len(runs) < len(_folders(args.runs)) else 0
+
+
+def _report_all(args: ReportArguments, network: lpips.Lpips | None) -> tuple[list[Run], list[Report]]:
+    """Score the runs; those that cannot be scored are named and left out. DataError where none can."""
+    runs, reports, folders = [], [], _folders(args.runs)
+    for folder in folders:
+        try:
+            run = open_moved(folder, args.data)
+            reports.append(run.report(args.device, network))
+            runs.append(run)
+        except DataError as error:
+            if len(folders) == 1:
+                raise
+            err.complain(error, f"left out: {folder}")
+    if not runs:
+        raise DataError(f"none of {len(folders)} runs can be scored: see above")
+    return runs, reports
+
+
+def _folders(named: Sequence[Path]) -> list[Path]:
+    """Return the runs' folders: those that are named, and those that a named folder holds."""
+    folders: list[Path] = []
+    for path in named:
+        is_run = (path / RUN).exists() or not path.is_dir()
+        held = [path] if is_run else [inner.parent for inner in path.glob(f"*/{RUN}")]
+        if not held:
+            raise DataError(f"{path}: not a run's folder, and no runs in it: `nerf fit` makes one")
+        folders += sorted(held)
+    return folders
 
 
 def _compared(runs: Sequence[Run], most: int | None = None) -> Iterator[tuple[str, Image]]:
@@ -123,5 +157,5 @@ def print_table(reports: Sequence[Report]) -> typeset.Table:
     if out.is_terminal:
         out.print(typeset.render(laid, out.width))
     else:
-        out.file.write(typeset.plain(laid))
+        out.write(typeset.plain(laid))
     return laid

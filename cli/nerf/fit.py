@@ -9,25 +9,27 @@ import tyro
 from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments, print_table
+from cli.nerf.sources import open_sources
 from nerf import checkpoint, fields
 from nerf.config import FitConfig, ModelConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.run import begin
 from nerf.sample import SamplerConfig
-from priors import cache
-from priors.errors import DataError
+from priors.errors import UsageError, expect
 from priors.filters import Filters
 
 EXAMPLES = """Train a field on a drive and score its held-out views (every 10th frame). Runs resume where they stopped.
 
 examples:
+  nerf fit --prior cache/                                           the drive and the prior that the cache has
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --views sparse --time 60s
   nerf fit street/ --views sparse                                   colours alone
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --field mip360 --steps 3000 --run runs/mip
 """
 UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
+MOST_S = 365 * 24 * 3600.0
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
     FieldName = str
@@ -40,7 +42,8 @@ class FitArguments(ThreadArguments, DriveArguments):
     """Arguments of `nerf fit`."""
 
     prior: Path | None = None
-    """A prior's folder in the cache, or a folder that holds just one; none: colours alone."""
+    """A prior's folder in the cache, or a folder that holds several: the one that suits best is taken, and said.
+    auto: cache/. Default: colours alone."""
     views: str = "dense"
     """Training views: dense (all that are not held out), sparse (every 4th of them) or a number."""
     frames: str | None = None
@@ -66,6 +69,14 @@ class FitArguments(ThreadArguments, DriveArguments):
     field: FieldName = "ngp"
     """Family of fields."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.config(), self.scene()
+
+    def scene(self) -> SceneConfig:
+        """Return which frames are used, and what of the prior."""
+        return SceneConfig(self.views, self.frames, self.filters)
+
     def config(self) -> FitConfig:
         """Return what decides the fit's outcome."""
         timed = None if self.steps is not None else seconds(self.time)
@@ -77,13 +88,12 @@ def run(arguments: list[str]) -> int:
     """Fit; returns the exit code."""
     args = parse(FitArguments, "nerf fit", EXAMPLES, arguments)
     with args.limited():
-        return _fit(args)
+        return _fit(args, ["nerf", "fit", *arguments])
 
 
-def _fit(args: FitArguments) -> int:
-    config, scene = args.config(), SceneConfig(args.views, args.frames, args.filters)
-    drive = args.open()
-    prior = None if args.prior is None else cache.only(args.prior)
+def _fit(args: FitArguments, typed: list[str]) -> int:
+    config, scene = args.config(), args.scene()
+    drive, prior = open_sources(args, args.prior, typed)
     this_run = begin(drive, prior, scene, config, args.run, progress)
     if len(this_run.scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
@@ -104,9 +114,8 @@ def _fit(args: FitArguments) -> int:
 def seconds(text: str) -> float:
     """Turn 90s, 5m or 1h into seconds."""
     try:
-        value = float(text.rstrip("smh")) * UNITS_S[text[-1:] if text[-1:] in UNITS_S else "s"]
+        value = float(text[:-1]) * UNITS_S[text[-1]] if text[-1:] in UNITS_S else float(text)
     except ValueError as error:
-        raise DataError(f"--time {text}: expected a number and s, m or h, for example 60s") from error
-    if not value > 0:
-        raise DataError(f"--time {text}: expected more than 0")
+        raise UsageError(f"--time {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
+    expect(0 < value <= MOST_S, "--time", text, "more than 0, and less than a year")
     return value

@@ -9,6 +9,7 @@ PROGRAM = Program(
         "build": "make depth maps for a drive and cache them",
         "eval": "score cached maps against the drive's truth",
         "show": "write pictures: image, depth, error and confidence side by side",
+        "view": "look at a drive and its priors in 3D, live in a browser",
         "list": "list what a cache holds",
         "check": "audit a drive: calibration, joins, stereo, poses, LiDAR",
         "train": "train the networks: render samples, train, pack weights",
@@ -21,6 +22,7 @@ PROGRAM = Program(
   priors build KITTI/2011_09_26 --drive 2011_09_26_drive_0001_sync --method lidar --lidar.sweeps 11
   priors build street/ --method completion --sky mask --clip 80
   priors eval cache/                                    one table, a row a prior
-  priors show cache/ --frames 5:8                       pictures""",
+  priors show cache/ --frames 5:8                       pictures
+  priors view cache/                                    points in 3D, live in a browser""",
 )
 main = PROGRAM.main

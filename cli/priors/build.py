@@ -1,26 +1,31 @@
 """`priors build`: make depth maps for a drive and cache them."""
 
+import shlex
+from collections.abc import Sequence
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import tyro
 from rich.box import SIMPLE_HEAD
-from rich.markup import escape
 from rich.table import Table
 
 from cli.arguments import DriveArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, out, progress
 from priors import build, methods
+from priors.advice import advise_method
 from priors.build import BuildReport, Job, Plan
-from priors.errors import DataError, expect
+from priors.errors import DataError, UsageError, expect_between
 from priors.filters import Filters
-from priors.selection import Selection
-from priors.types import Method
+from priors.machine.threads import MOST_THREADS
+from priors.selection import Selection, select
+from priors.types import Drive, Method
 
 EXAMPLES = """Make depth maps for a drive and cache them; what is cached already is not made again.
 
 examples:
+  priors build --method stereo                                the drive here, or the only one below
+  priors build --method auto                                  what suits it: stereo, completion or mono
   priors build street/ --method stereo
   priors build KITTI/2011_09_26 --drive 2011_09_26_drive_0001_sync --method lidar --lidar.sweeps 11
   priors build street/ --method completion --sky mask --clip 80 --frames 0:20
@@ -35,8 +40,8 @@ examples:
 class BuildArguments(ThreadArguments, DriveArguments):
     """Arguments of `priors build` that do not depend on which methods there are."""
 
-    method: Literal[*methods.names()] = tyro.MISSING  # type: ignore[valid-type]
-    """How to make depth."""
+    method: Literal["auto", *methods.names()] | None = None  # type: ignore[valid-type]
+    """How to make depth. auto: stereo where there is a pair, else completion where there is a LiDAR, else mono."""
     cache: Path = Path("cache")
     """Where the maps go."""
     selection: tyro.conf.OmitArgPrefixes[Selection] = field(default_factory=Selection)
@@ -48,11 +53,11 @@ class BuildArguments(ThreadArguments, DriveArguments):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        expect(self.workers >= 1, "--workers", self.workers, "1 or more")
+        expect_between(1, self.workers, MOST_THREADS, "--workers")
 
-    def chosen(self) -> Method:
-        """Return the settings of the method that was named; a subclass has a field for each method."""
-        settings: Method = vars(self)[self.method]
+    def settings(self, method: str) -> Method:
+        """Return a method's settings; a subclass has a field for each method."""
+        settings: Method = vars(self)[method]
         return settings
 
 
@@ -60,27 +65,57 @@ def run(arguments: list[str]) -> int:
     """Build; returns the exit code."""
     args = parse(_with_methods(), "priors build", EXAMPLES, arguments)
     with args.limited():
-        return _build(args)
+        return _build(args, arguments)
 
 
-def _build(args: BuildArguments) -> int:
-    job = build.prepare(args.open(), args.chosen(), args.filters, args.cache)
+def _build(args: BuildArguments, typed: list[str]) -> int:
+    if args.method not in (None, "auto"):
+        _refuse_idle_flags(str(args.method), typed)
+    drive = args.open(["priors", "build", *typed])
+    indices = select(drive.ids, args.selection.frames)  # wrong frames are told before anything is compiled
+    method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
+    job = build.prepare(drive, args.settings(method), args.filters, args.cache)
     plan = job.plan(args.selection)
     if args.dry_run:
         _print_plan(job, plan)
         return 0
-    with progress(args.method, len(plan.todo)) as step:
+    with progress(method, len(plan.todo)) as step:
         report = job.run(plan, args.workers, step, _note)
     for frame_id, error in sorted(report.failed.items()):
-        err.print(f"[bold red]frame {frame_id}:[/] {escape(error)}")
+        err.complain(error, f"frame {frame_id}")
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0
 
 
+def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> str:
+    """Return the method that suits the drive where --method auto asks for it; UsageError says it where nothing does."""
+    advice = advise_method(drive, indices)
+    if args.method is None:
+        has = " and ".join(filter(None, (", ".join(advice.has[:-1]), *advice.has[-1:]))) or "images alone"
+        command = shlex.join(["priors", "build", *typed, "--method", advice.method])
+        raise UsageError(f"--method is missing: {drive.name} has {has}; {advice.method} suits it: {command}")
+    err.print(f"method: {advice.method}: {advice.reason}")
+    for flag in _idle_flags(advice.method, typed):
+        err.print(f"{flag}: not used by {advice.method}")
+    return advice.method
+
+
+def _idle_flags(method: str, typed: list[str]) -> list[str]:
+    """Return the flags that were typed of other methods than this."""
+    others = tuple(f"--{name}." for name in methods.names() if name != method)
+    return [word.partition("=")[0] for word in typed if word.startswith(others)]
+
+
+def _refuse_idle_flags(method: str, typed: list[str]) -> None:
+    """Raise UsageError where a flag of another method was typed: it would do nothing."""
+    if idle := _idle_flags(method, typed):
+        raise UsageError(f"{idle[0]}: a flag of another method than --method {method}: leave it out")
+
+
 def _note(line: str) -> None:
     """Tell what a method does before the first frame."""
-    err.print(line, markup=False)
+    err.print(line)
 
 
 def _with_methods() -> type[BuildArguments]:
@@ -95,9 +130,9 @@ def _print_plan(job: Job, plan: Plan) -> None:
     for index in plan.todo:
         out.print(f"  {job.drive.ids[index]}  compute")
     for frame_id, reason in plan.skipped.items():
-        out.print(f"  {frame_id}  skip: {reason}", markup=False)
+        out.print(f"  {frame_id}  skip: {reason}")
     for frame_id, error in plan.failed.items():
-        out.print(f"  {frame_id}  cannot be read: {error}", markup=False)
+        out.print(f"  {frame_id}  cannot be read: {error}")
     out.print(f"{len(plan.todo)} to compute, {len(plan.skipped)} skipped, {len(plan.failed)} cannot be read")
 
 

@@ -21,7 +21,7 @@ STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "fatal": "bold red
 
 def run(arguments: list[str]) -> int:
     """Audit; returns the exit code."""
-    drive = parse(DriveArguments, "priors check", EXAMPLES, arguments).open()
+    drive = parse(DriveArguments, "priors check", EXAMPLES, arguments).open(["priors", "check", *arguments])
     findings = check(drive)
     for finding in findings:
         out.print(

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
-from rich.markup import escape
 
 from cli.arguments import drive_key, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
@@ -59,10 +58,14 @@ class ScoreArguments:
     """Score only this range of frames, a:b."""
     truth: Path | None = None
     """Folder with KITTI depth maps, where the build was not told."""
+    data: Path | None = None
+    """Where the drive is now, if it has moved since the build."""
     against: Path | None = None
     """Score against this prior instead of the drive's truth."""
     metrics: tuple[str, ...] | None = None
     """Columns of the table, e.g. abs_rel rmse d1; default: the protocol's usual ones."""
+    long: bool = False
+    """Name each prior with every setting that is not usual, not only with what differs between rows."""
     ranges: bool = False
     """Also print AbsRel and RMSE by true distance."""
     curves: Path | None = None
@@ -95,6 +98,8 @@ class Scored:
     """By a prior's name, of those with a confidence, where curves were asked for."""
     pictures: list[Picture] = field(default_factory=list)
     """Where a page was asked for."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """What could not be scored or kept -> why."""
 
     @property
     def drive(self) -> str:
@@ -114,7 +119,7 @@ class Output:
 
     def show(self, scored: Scored) -> None:
         """Print one drive's table and write its files."""
-        out.print(f"[bold]{scored.drive}[/]")
+        out.print(scored.drive, style="bold")
         table.show(scored.results, self.args.metrics, out)
         if self.args.ranges:
             _print_ranges(scored.results)
@@ -163,18 +168,22 @@ def _with_maps(path: Path) -> list[Prior]:
 def _try_drive(priors: list[Prior], output: Output) -> bool:
     """Score and print one drive; where it cannot be scored and there are others, say why and go on."""
     try:
-        output.show(_score_drive(priors, output.args))
+        scored = _score_drive(priors, output.args)
+        output.show(scored)
+        for what, why in scored.left_out.items():
+            err.complain(why, f"left out: {what}")
+        return not scored.left_out
     except DataError as error:
         if not output.several:
             raise
-        err.print(f"[bold red]{priors[0].folder.parent}:[/] {escape(str(error))}")
+        err.complain(error, priors[0].folder.parent)
         return False
     return True
 
 
 def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scored:
     """Score the priors of one drive."""
-    drive, names = reopen_drive(priors[0], args.truth), labels(priors)
+    drive, names = reopen_drive(priors[0], args.truth, args.data), labels(priors, args.long)
     against = None if args.against is None else cache.only(args.against)
     pictures = picture_frames(drive, priors, names, args.frames) if args.page else []
     scored = Scored([], {}, pictures)
@@ -183,6 +192,9 @@ def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scored:
         with progress(name, len(pairs)) as step:
             one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step)
         scored.results.append(one.result)
+        scored.left_out.update({f"{name}, frame {id_}": why for id_, why in pairs.left_out.items()})
+        if one.unsaved is not None:
+            scored.left_out[f"{name}, metrics.json"] = one.unsaved
         if one.pixels is not None:
             scored.curves[name] = one.curves()
             out.print(f"{name}: {_best_share(one)}")

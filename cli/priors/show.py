@@ -12,9 +12,9 @@ from cli.console import out, progress
 from priors import cache, codecs
 from priors.cache import Prior
 from priors.draw.comparison import compare
-from priors.errors import DataError, expect
+from priors.errors import DataError, expect_between
 from priors.naming import labels
-from priors.selection import parse_range, select
+from priors.selection import LARGEST_FRAME_NUMBER, parse_range, select
 
 EXAMPLES = """Write pictures: image and truth on top, then a row a prior - depth, error against the truth, confidence.
 
@@ -38,13 +38,15 @@ class ShowArguments:
     """Only every n-th of them."""
     truth: Path | None = None
     """Folder with KITTI depth maps, where the build was not told."""
+    data: Path | None = None
+    """Where the drive is now, if it has moved since the build."""
     width: int = 620
     """Width of one tile, pixels."""
 
     def __post_init__(self) -> None:
         parse_range(self.frames)
-        expect(self.every >= 1, "--every", self.every, "1 or more")
-        expect(self.width >= 16, "--width", self.width, "16 or more pixels")
+        expect_between(1, self.every, LARGEST_FRAME_NUMBER, "--every")
+        expect_between(16, self.width, 16384, "--width")
 
 
 def run(arguments: list[str]) -> int:
@@ -57,7 +59,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
-    drive = reopen_drive(priors[0], args.truth)
+    drive = reopen_drive(priors[0], args.truth, args.data)
     cached = {id_ for prior in priors for id_ in prior.ids()}
     indices = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
     if not indices:

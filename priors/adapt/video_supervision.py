@@ -22,7 +22,7 @@ from priors.adapt.views import SKY, SURFACE, UNKNOWN, LabelledView
 from priors.adapt.windows import ZOOM, crop_size
 from priors.errors import DataError
 from priors.nets.bts import MonoOut
-from priors.types import Drive, Frame, Matrix
+from priors.types import Drive, Frame
 
 SMALL = 192
 """Crops less high than this are compared at full size, others at half, which is as good and four times as fast."""
@@ -96,10 +96,4 @@ def read_posed_view(drive: Drive, index: int, near: tuple[int, int], start: nn.M
 
 
 def _source(frame: Frame, other: Frame) -> SourceView:
-    return SourceView(other.image(), other.camera, geometry.invert(_pose(other)) @ _pose(frame))
-
-
-def _pose(frame: Frame) -> Matrix:
-    if frame.T_world_cam is None:
-        raise DataError(f"frame {frame.id}: no pose, which photometric supervision needs")
-    return frame.T_world_cam
+    return SourceView(other.image(), other.camera, geometry.invert(other.pose()) @ frame.pose())

@@ -2,6 +2,9 @@
 
 A data set's file has two functions: `recognises(path)` and `open_drive(path, options)`. Adding the file adds the
 `--dataset` choice; listing the choices imports none of them. Your own files: priors/extensions.py.
+
+Where drives lie in folders of their own below the data set's (priors/places.py looks for them), the file also has
+`is_drive(folder)`, and `BELOW`, the most levels between the two.
 """
 
 import os
@@ -17,6 +20,8 @@ from priors import extensions
 from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.drives._files import first_size as first_size
 from priors.drives._files import stems as stems
+from priors.drives._files import subfolders as subfolders
+from priors.drives._links import plain
 from priors.errors import DataError, expect
 from priors.types import Drive
 
@@ -54,10 +59,12 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
         DataError: the folder is missing, nothing recognises it, or it holds several drives and none is named.
     """
     path = Path(path)
+    if ".." in path.parts or not path.name or path.parts[0].startswith("~"):
+        path = plain(path)  # "." has no name, and nothing above it
     if not path.is_dir():
         raise DataError(f"{path}: " + ("is a file: name the drive's folder" if path.exists() else "no such folder"))
     name = _recognise(path) if dataset == "auto" else dataset
-    drive: Drive = _reader(name).open_drive(path, options or DriveOptions())
+    drive: Drive = reader(name).open_drive(path, options or DriveOptions())
     return drive
 
 
@@ -72,7 +79,8 @@ def reopen(description: dict[str, Any]) -> Drive:
     return open_drive(path, dataset, options)
 
 
-def _reader(name: str) -> ModuleType:
+def reader(name: str) -> ModuleType:
+    """Import a data set's file; DataError where there is none of that name, or it lacks a function."""
     if name not in names():
         yours = f"or name the folder of your own by {extensions.VARIABLE}"
         raise DataError(f"unknown data set {name!r}: choose one of auto, {', '.join(names())}, {yours}")
@@ -87,7 +95,7 @@ def _reader(name: str) -> ModuleType:
 
 def _recognise(path: Path) -> str:
     """Return the one data set that knows the folder's layout."""
-    fitting = [name for name in names() if _reader(name).recognises(path)]
+    fitting = [name for name in names() if reader(name).recognises(path)]
     if len(fitting) > 1:
         raise DataError(f"{path}: looks like {' and '.join(fitting)}: choose with --dataset {fitting[0]}")
     if not fitting:

@@ -18,9 +18,10 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from priors.drives._files import check_baseline, read_json
+from priors.drives._files import check_baseline
 from priors.errors import DataError
 from priors.geometry import invert
+from priors.text import read_json
 from priors.types import Camera, Image, Matrix
 
 RING_SIZE = (1200, 1920)

@@ -8,6 +8,7 @@ from typing import Any, ClassVar, Literal
 
 from priors import codecs
 from priors.drives._files import check_baseline, check_size, digest, read_sized
+from priors.drives._links import plain
 from priors.errors import DataError
 from priors.types import Camera, Depth, Frame, Matrix, Rig
 
@@ -40,14 +41,14 @@ class CameraDrive(ABC):
     """The car, where the error of its rectification is known."""
 
     def __init__(self, folder: Path, camera_name: str, truth: Path | None = None) -> None:
-        self.folder, self.camera_name, self.truth = folder, camera_name, truth
+        self.folder, self.camera_name, self.truth = plain(folder), camera_name, None if truth is None else plain(truth)
         self.others, self.maps, self.baseline_m, self.rig = {}, {}, None, None
 
     @property
     def name(self) -> str:
         """The folder's name, and the camera's unless it is the usual one."""
-        usual = self.camera_name == self.usual_camera
-        return self.folder.name if usual else f"{self.folder.name}-{self.camera_name}"
+        folder = self.folder.name or "root"  # of the disk
+        return folder if self.camera_name == self.usual_camera else f"{folder}-{self.camera_name}"
 
     @cached_property
     def ids(self) -> Sequence[str]:
@@ -67,7 +68,7 @@ class CameraDrive(ABC):
 
     def describe(self) -> dict[str, Any]:
         """Return what a manifest records and `reopen` needs."""
-        truth = None if self.truth is None else str(Path(self.truth).resolve())
+        truth = None if self.truth is None else str(self.truth.resolve())
         dataset = type(self).__module__.rpartition(".")[2]
         return {"dataset": dataset, "path": str(self.folder.absolute()), "camera": self.camera_name, "truth": truth}
 
@@ -84,13 +85,24 @@ class CameraDrive(ABC):
 
     def __getitem__(self, index: int) -> Frame:
         id_ = self.ids[index]
+        missing, readers = dict(self.missing(id_)), self.readers(id_)
+        T_world_cam = T_cam_lidar = None
+        try:
+            T_world_cam = self.T_world_cam(id_)
+        except DataError as error:  # refused is only what needs the pose
+            missing["pose"] = str(error)
+        try:
+            T_cam_lidar = self.T_cam_lidar(id_)
+        except DataError as error:  # or the sweep
+            missing["sweep"] = str(error)
+            readers.pop("sweep", None)
         return Frame(
             id=id_,
             camera=self.camera,
-            readers=self.readers(id_),
-            missing=self.missing(id_),
-            T_world_cam=self.T_world_cam(id_),
-            T_cam_lidar=self.T_cam_lidar(id_),
+            readers=readers,
+            missing=missing,
+            T_world_cam=T_world_cam,
+            T_cam_lidar=T_cam_lidar,
             time_s=self.time_s(id_),
             baseline_m=self.baseline_m,
             side=self.side,

@@ -1,7 +1,6 @@
 """What every reader does with files: text to numbers, folders to ids, digests. Errors name the file."""
 
 import hashlib
-import json
 import os
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
@@ -13,37 +12,18 @@ import numpy.typing as npt
 
 from priors import codecs
 from priors.errors import DataError
+from priors.frame_ids import in_order
+from priors.text import read_lines, read_text
 from priors.types import Camera, Image, Matrix
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
 
 
-def read_text(path: Path) -> str:
-    """Read a small text file; DataError where it is missing or not text."""
-    try:
-        return path.read_text()
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: no such file") from error
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"{path}: cannot be read as text ({error})") from error
-
-
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object; DataError where it is missing, damaged or not an object."""
-    try:
-        data = json.loads(read_text(path))
-    except json.JSONDecodeError as error:
-        raise DataError(f"{path}: damaged JSON ({error}): download or write it again") from error
-    if not isinstance(data, dict):
-        raise DataError(f"{path}: expected a JSON object, found {type(data).__name__}")
-    return data
-
-
 def read_key_values(path: Path) -> dict[str, npt.NDArray[np.float64]]:
     """Read 'key: numbers' lines (KITTI calibration); lines that hold no numbers are left out."""
     values = {}
-    for line in read_text(path).splitlines():
-        key, _, numbers = line.partition(":")
+    for line in read_lines(path):
+        key, _, numbers = line.text.partition(":")
         try:
             values[key.strip()] = np.array([float(word) for word in numbers.split()])
         except ValueError:
@@ -106,35 +86,21 @@ def first_size(images: Iterable[Path]) -> tuple[int, int]:
     raise failure or DataError("no images")
 
 
-def parse_pose(line: str, where: str) -> Matrix:
-    """Turn 12 numbers, a row-major (3, 4), into a pose (4, 4); `where` names file and line in the error."""
-    try:
-        numbers = np.array([float(word) for word in line.split()])
-    except ValueError as error:
-        raise DataError(f"{where}: not 12 numbers: {line.strip()[:40]!r}") from error
-    if numbers.size != 12 or not np.isfinite(numbers).all():
-        wrong = f"{numbers.size} numbers" if numbers.size != 12 else "NaN or inf"
-        raise DataError(f"{where}: a pose should be 12 finite numbers, found {wrong}: repair it or leave the frame out")
-    T = np.eye(4)
-    T[:3] = numbers.reshape(3, 4)
-    return T
-
-
 def read_times(path: Path) -> dict[int, float]:
     """Read 'YYYY-MM-DD hh:mm:ss.nnnnnnnnn' lines as seconds since the first, by line number from 0.
 
     An empty line stands for a scan that is missing (KITTI's velodyne timestamps have them) and gets no entry.
     """
     stamps = {}
-    for number, line in enumerate(read_text(path).splitlines()):
-        if not line.strip():
+    for number, line in enumerate(read_lines(path)):
+        if not line.text:
             continue
-        seconds, _, fraction = line.strip().partition(".")
+        seconds, _, fraction = line.text.partition(".")
         try:
             whole = datetime.fromisoformat(seconds).replace(tzinfo=UTC).timestamp()
             stamps[number] = whole + float(f"0.{fraction or 0}")
         except ValueError as error:
-            raise DataError(f"{path}: line {number + 1} is not a time: {line.strip()[:40]!r}") from error
+            raise DataError(f"{path}: line {line.number} is not a time: {line.text[:40]!r}") from error
     start = next(iter(stamps.values()), 0.0)
     return {number: stamp - start for number, stamp in stamps.items()}
 
@@ -143,13 +109,14 @@ def stems(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
     """Map file stem (the frame id) to file, for files with one of the suffixes; empty where there is no folder."""
     try:
         with os.scandir(folder) as entries:
-            names = sorted(entry.name for entry in entries)
+            names = [entry.name for entry in entries]
     except (FileNotFoundError, NotADirectoryError):
         return {}
     except OSError as error:
         raise DataError(f"{folder}: cannot be listed ({error.strerror})") from error
     wanted = tuple(suffixes)
-    return {n.rpartition(".")[0]: folder / n for n in names if n.lower().endswith(wanted) and n[0] != "."}
+    found = {n.rpartition(".")[0]: folder / n for n in sorted(names) if n.lower().endswith(wanted) and n[0] != "."}
+    return {id_: found[id_] for id_ in in_order(found)}
 
 
 def follow(path: Path) -> Path:

@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from priors.drives._files import read_text, read_times, stems
+from priors.drives._files import read_times, stems
 from priors.errors import DataError
 from priors.geometry import invert
+from priors.text import read_lines
 from priors.types import Matrix
 
 EARTH_RADIUS_M = 6378137.0
@@ -30,6 +31,7 @@ class Track:
 
     def __init__(self, folder: Path) -> None:
         self.files = stems(folder / "data", [".txt"])
+        self._by_number = {int(id_): id_ for id_ in self.files if id_.isdecimal()}
         self._stamps_file = folder / "timestamps.txt"
         self._records: dict[str, Matrix] = {}
 
@@ -40,7 +42,12 @@ class Track:
 
     def T_world_imu(self, id_: str) -> Matrix | None:
         """Return the IMU's pose (4, 4) when the frame was taken, metres; None where it has no record."""
-        return self._T_world_mercator @ self._at_frame(id_) if id_ in self.files else None
+        own = id_ if id_ in self.files else self.id_of(int(id_)) if id_.isdecimal() else ""
+        return self._T_world_mercator @ self._at_frame(own) if own in self.files else None
+
+    def id_of(self, number: int) -> str:
+        """Return the id of a number's record; nothing where it has none."""
+        return self._by_number.get(number, "")
 
     def record(self, id_: str) -> Matrix:
         """Return the pose (4, 4) in a frame's file, in Mercator metres."""
@@ -53,7 +60,7 @@ class Track:
         T, number = self.record(id_), int(id_) if id_.isdecimal() else -1
         late = self._late_s.get(number, 0.0)
         for step in (1, -1) if late > 0 else (-1, 1):
-            beside = f"{number + step:0{len(id_)}d}"
+            beside = self.id_of(number + step)
             if late == 0 or beside not in self.files or number + step not in self._stamps:
                 continue
             try:
@@ -114,7 +121,7 @@ def between(T_world_a: Matrix, T_world_b: Matrix, share: float) -> Matrix:
 
 def _read_fields(path: Path) -> npt.NDArray[np.float64]:
     """Read latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad) from an oxts file."""
-    words = read_text(path).split()
+    words = [word for line in read_lines(path) for word in line.words]
     try:
         values = np.array([float(word) for word in words[:6]])
     except ValueError as error:

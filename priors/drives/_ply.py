@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from priors.drives._points import only_points
 from priors.errors import DataError
 
 TYPES = {
@@ -26,7 +27,7 @@ END = b"end_header"
 
 
 def read_ply(path: Path) -> npt.NDArray[np.float32]:
-    """Read the vertices' x, y, z: (n, 3) metres; points that are not finite are left out.
+    """Read the vertices' x, y, z: (n, 3) metres; values that no scanner measures are left out.
 
     Raises:
         DataError: not a PLY file, no x y z, truncated, or without a single point.
@@ -40,10 +41,9 @@ def read_ply(path: Path) -> npt.NDArray[np.float32]:
     except (ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: damaged PLY file ({error}): download it again") from error
     xyz_m = np.stack([vertices[axis].astype(np.float32) for axis in "xyz"], axis=1)
-    xyz_m = xyz_m[np.isfinite(xyz_m).all(axis=1)]
     if not len(xyz_m):
         raise DataError(f"{path}: empty sweep: download it again, or leave the frame out with --frames")
-    return xyz_m
+    return xyz_m[only_points(xyz_m, path, "x y z in metres")]
 
 
 def _parse(data: bytes) -> npt.NDArray[np.void]:

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from priors.drives._points import check_reflectance, only_points
 from priors.errors import DataError
 
 SWEEP_S = 0.1
@@ -12,21 +13,29 @@ SWEEP_S = 0.1
 SECONDS_PER_RADIAN = -SWEEP_S / (2 * np.pi)
 """The scanner turns clockwise seen from above: azimuth (x forward, y left) falls as time passes. The cameras are
 triggered when it faces forward: azimuth 0 is the frame's time."""
+FORMATS = {b"\x93NUMPY": "a NumPy file", b"ply\n": "a PLY file", b"ply\r": "a PLY file", b"# .PCD": "a PCD file"}
+
+WANTED = "little-endian float32 x y z reflectance"
 
 
 def read_sweep_file(path: Path) -> npt.NDArray[np.float32]:
-    """Read a velodyne .bin (float32 x y z reflectance): (n, 3) metres, points that are not finite left out."""
+    """Read a velodyne .bin (float32 x y z reflectance): (n, 3) metres; values that no scanner measures are left out.
+
+    Raises DataError where the file is cut off, empty, or is no sweep: another byte order, type or format.
+    """
     try:
-        size = path.stat().st_size
-        data = np.fromfile(path, dtype="<f4")
+        data = path.read_bytes()
     except OSError as error:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
-    if size % 16:
-        raise DataError(f"{path}: {size} bytes are not whole points of 16 bytes: truncated, download it again")
-    if size == 0:
+    for start, name in FORMATS.items():
+        if data.startswith(start):
+            raise DataError(f"{path}: is {name}: expected {WANTED}: convert it")
+    if len(data) % 16:
+        raise DataError(f"{path}: {len(data)} bytes are not whole points of 16 bytes: truncated, download it again")
+    if not data:
         raise DataError(f"{path}: empty sweep: download it again, or leave the frame out with --frames")
-    xyz_m = np.ascontiguousarray(data.reshape(-1, 4)[:, :3])
-    finite = np.isfinite(xyz_m).all(axis=1)
-    if not finite.any():
-        raise DataError(f"{path}: no finite point in the sweep: download it again")
-    return xyz_m if finite.all() else xyz_m[finite]
+    table = np.frombuffer(data, "<f4").reshape(-1, 4)
+    xyz_m = np.ascontiguousarray(table[:, :3])
+    points = only_points(xyz_m, path, WANTED)
+    check_reflectance(table[points, 3], path, WANTED)
+    return xyz_m if points.all() else xyz_m[points]

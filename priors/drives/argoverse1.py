@@ -21,6 +21,7 @@ Quirks kept here (those of the calibration in _argoverse1_calibration.py):
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
 from functools import partial
+from glob import escape
 from pathlib import Path
 
 import numpy as np
@@ -35,16 +36,19 @@ from priors.drives._files import (
     check_size,
     choose,
     follow,
-    read_json,
     read_sized,
     search,
     stems,
 )
+from priors.drives._links import homes
 from priors.drives._ply import read_ply
 from priors.errors import DataError
 from priors.geometry import convert_disparity, invert
+from priors.text import read_json
 from priors.types import Depth, Image, Matrix, Sweep
 
+BELOW = 3
+"""How many levels below a folder its logs may be: a release, a split, then a log."""
 TRACKING, STEREO = "vehicle_calibration_info.json", "vehicle_calibration_stereo_info.json"
 PAIR = ("stereo_front_left", "stereo_front_right")
 PAIR_RECT = ("stereo_front_left_rect", "stereo_front_right_rect")
@@ -56,15 +60,16 @@ POSE_GAP_NS = 200_000_000  # poses farther apart are not interpolated
 
 def recognises(path: Path) -> bool:
     """Tell whether the folder is a log, or holds logs up to three levels below."""
-    return bool(search(path, _is_log, 3))
+    return bool(search(path, is_drive, BELOW))
 
 
 def open_drive(path: Path, options: DriveOptions) -> "Argoverse1":
     """Open one log; path is its folder, or a parent of it with options.drive."""
-    return Argoverse1(choose(search(path, _is_log, 3), options.drive, path, f"a log ({TRACKING})"), options)
+    return Argoverse1(choose(search(path, is_drive, BELOW), options.drive, path, f"a log ({TRACKING})"), options)
 
 
-def _is_log(folder: Path) -> bool:
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a log."""
     return (folder / TRACKING).is_file() or (folder / STEREO).is_file()
 
 
@@ -75,7 +80,8 @@ class Argoverse1(CameraDrive):
 
     def __init__(self, folder: Path, options: DriveOptions) -> None:
         camera = options.camera or next((c for c in DEFAULTS if (folder / c).is_dir()), DEFAULTS[-1])
-        super().__init__(folder.absolute(), camera, options.truth)
+        super().__init__(folder, camera, options.truth)
+        self._homes = homes(self.folder, follow(self.folder / camera))
         images = by_time(follow(self.folder / camera), IMAGE_SUFFIXES)
         if not images:
             cameras = sorted(p.name for p in folder.iterdir() if p.name.startswith(("ring_", "stereo_")))
@@ -173,12 +179,14 @@ class Argoverse1(CameraDrive):
 
     def _companion(self) -> Path:
         """Return the folder with sweeps and poses: this log's, or the tracking log of the same name."""
-        if (self.folder / "poses").exists() or (self.folder / "lidar").exists():
-            return self.folder
-        for above in list(self.folder.parents)[1:4]:
-            logs = sorted(above.glob(f"argoverse-tracking/*/{self.folder.name}"))
-            if logs:
-                return logs[0]
+        for home in self._homes:
+            if (home / "poses").exists() or (home / "lidar").exists():
+                return home
+        for home in self._homes:
+            for above in list(home.parents)[1:4]:
+                logs = sorted(above.glob(f"argoverse-tracking/*/{escape(home.name)}"))
+                if logs:
+                    return logs[0]
         return self.folder
 
     def _T_world_ego(self, time: int) -> Matrix | None:
@@ -210,16 +218,19 @@ class Argoverse1(CameraDrive):
     def _find_disparities(self) -> dict[int, Path]:
         if self.camera_name != PAIR_RECT[0]:
             return {}
-        split, log = self.folder.parent.name, self.folder.name
-        inside = f"{log}/{PAIR_RECT[0]}_disparity"
+        for home in self._homes:
+            split, inside = home.parent.name, f"{home.name}/{PAIR_RECT[0]}_disparity"
+            roots = [above / "disparity_maps_v1.1" / split for above in list(home.parents)[2:3]]
+            if self.truth is not None:
+                roots = [self.truth / "disparity_maps_v1.1" / split, self.truth / split, self.truth]
+            for root in roots:
+                maps = by_time(root / inside, [".png"])
+                if maps:
+                    return maps
         if self.truth is None:
-            return by_time(self.folder.parents[2] / "disparity_maps_v1.1" / split / inside, [".png"])
-        truth = Path(self.truth)
-        for root in (truth / "disparity_maps_v1.1" / split, truth / split, truth):
-            maps = by_time(root / inside, [".png"])
-            if maps:
-                return maps
-        raise DataError(f"{truth}: --truth should hold disparity_maps_v1.1/{split}/{inside}, found none")
+            return {}
+        wanted = f"disparity_maps_v1.1/{self.folder.parent.name}/{self.folder.name}/{PAIR_RECT[0]}_disparity"
+        raise DataError(f"{self.truth}: --truth should hold {wanted}, found none")
 
 
 def by_time(folder: Path, suffixes: Iterable[str]) -> dict[int, Path]:

@@ -9,8 +9,10 @@ the usual error of their rectification (docs/methods/stereo.md).
 
 - Files are joined by their stem, the frame id.
 - depth/ is truth, sparse/ is completion's input: uint16 PNG (metres x 256), .npy, .npz or .pfm in metres, 0 = none.
+- Numbers sort and join as numbers: 9 before 10, and 7.png with 000007.png.
 - poses.txt holds one T_world_cam of the left camera a line: 12 numbers, a row-major (3, 4), OpenCV axes, metres. A line
-  may begin with the frame id; without ids there must be as many lines as left images, in their sorted order.
+  may begin with the frame id; without ids there must be as many lines as left images, in their order.
+  Lines that begin with # are comments.
 """
 
 from functools import cached_property
@@ -25,13 +27,13 @@ from priors.drives._files import (
     check_baseline,
     first_size,
     follow,
-    parse_pose,
-    read_json,
-    read_text,
     stems,
 )
 from priors.drives._rigs import RIGS
 from priors.errors import DataError
+from priors.frame_ids import joined
+from priors.poses import WITH_ID, by_id, parse_pose, read_pose_lines
+from priors.text import Line, read_json
 from priors.types import Camera, Matrix, Rig
 
 MAP_SUFFIXES = (".png", ".npy", ".npz", ".pfm")
@@ -64,8 +66,9 @@ class Folder(CameraDrive):
         self.images = stems(follow(self.folder / camera), IMAGE_SUFFIXES)
         if not self.images:
             raise DataError(f"{folder / camera}: no PNG or JPEG images: put the {camera} images there")
-        self.others = stems(follow(self.folder / partner), IMAGE_SUFFIXES)
-        self.maps = {what: stems(follow(self.folder / name), MAP_SUFFIXES) for what, name in MAPS.items()}
+        self.others = joined(self.images, stems(follow(self.folder / partner), IMAGE_SUFFIXES))
+        maps = {what: stems(follow(self.folder / name), MAP_SUFFIXES) for what, name in MAPS.items()}
+        self.maps = {what: joined(self.images, paths) for what, paths in maps.items()}
         self.camera, self.baseline_m, self.rig = self._read_calibration()
 
     def sources(self) -> list[Path]:
@@ -75,7 +78,11 @@ class Folder(CameraDrive):
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each kind of file has, for the audit."""
-        return {"other": list(self.others), "depth": list(self.maps["truth"]), "pose": list(self._pose_lines)}
+        try:
+            posed = list(self._pose_lines)
+        except DataError:  # told of each frame
+            posed = []
+        return {"other": list(self.others), "depth": list(self.maps["truth"]), "pose": posed}
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
@@ -90,8 +97,8 @@ class Folder(CameraDrive):
         """Return the pose that poses.txt tells."""
         if id_ not in self._pose_lines:
             return None
-        number, line = self._pose_lines[id_]
-        T_world_left = parse_pose(line, f"{self.folder / 'poses.txt'}: line {number}")
+        line = self._pose_lines[id_]
+        T_world_left = parse_pose(line.text, f"{self.folder / 'poses.txt'}: line {line.number}")
         T_left_cam = np.eye(4)
         if self.side == "right" and self.baseline_m is not None:
             T_left_cam[0, 3] = self.baseline_m
@@ -117,19 +124,24 @@ class Folder(CameraDrive):
         return camera, baseline_m, _rig(data.get("rig"), path)
 
     @cached_property
-    def _pose_lines(self) -> dict[str, tuple[int, str]]:
-        """Line number and 12 numbers by frame id; empty without poses.txt."""
+    def _pose_lines(self) -> dict[str, Line]:
+        """A line of 12 numbers by frame id; empty without poses.txt."""
         path = self.folder / "poses.txt"
         if not path.is_file():
             return {}
-        lines = [(n, line) for n, line in enumerate(read_text(path).splitlines(), 1) if line.strip()]
-        if lines and all(len(line.split()) == 13 for _, line in lines):
-            return {line.split()[0]: (n, line.split(maxsplit=1)[1]) for n, line in lines}
+        lines = [line for line in read_pose_lines(path) if line.text]
+        named = by_id(lines, self.images, path)
+        if named is not None:
+            return named
         lefts = list(stems(follow(self.folder / "left"), IMAGE_SUFFIXES))
         if len(lines) != len(lefts):
             counts = f"{len(lines)} poses for {len(lefts)} left images"
-            raise DataError(f"{path}: {counts}: begin each line with its frame id, or give one line an image")
-        return dict(zip(lefts, lines, strict=True))
+            bare = sum(len(line.words) != WITH_ID for line in lines)
+            wanted = "begin each line with its frame id, or give one line an image"
+            if bare < len(lines):
+                wanted = f"{bare} lines lack the frame id that the others begin with"
+            raise DataError(f"{path}: {counts}: {wanted}")
+        return joined(self.images, dict(zip(lefts, lines, strict=True)))
 
 
 def _rig(name: Any, path: Path) -> Rig | None:

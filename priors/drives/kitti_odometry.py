@@ -25,19 +25,23 @@ from priors.drives._files import (
     first_size,
     follow,
     need,
-    parse_pose,
     read_key_values,
-    read_text,
     split_projection,
     stems,
     subfolders,
 )
+from priors.drives._links import beside, homes
 from priors.drives._rigs import KITTI
 from priors.drives._velodyne import read_sweep_file
 from priors.errors import DataError
+from priors.frame_ids import joined
 from priors.geometry import invert
+from priors.poses import by_id, parse_pose, read_pose_lines
+from priors.text import Line, read_lines
 from priors.types import Camera, Matrix, Sweep
 
+BELOW = 2
+"""How many levels below the data set's own folder its sequences are: sequences/, then a sequence."""
 CAMERAS = ("image_0", "image_1", "image_2", "image_3")
 SEQUENCES = tuple(f"{number:02}" for number in range(22))
 BASELINES_M = (0.53, 0.5395)
@@ -74,11 +78,12 @@ def _sequences(path: Path) -> list[Path]:
     folders = [path, *subfolders(path / "sequences"), *subfolders(path / "dataset" / "sequences")]
     if path.name == "sequences":
         folders += subfolders(path)
-    return [folder for folder in folders if (folder / "calib.txt").is_file() and _has_images(folder)]
+    return [folder for folder in folders if is_drive(folder)]
 
 
-def _has_images(folder: Path) -> bool:
-    return any((folder / name).is_dir() for name in CAMERAS)
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a sequence."""
+    return (folder / "calib.txt").is_file() and any((folder / name).is_dir() for name in CAMERAS)
 
 
 class KittiOdometry(CameraDrive):
@@ -88,13 +93,16 @@ class KittiOdometry(CameraDrive):
     usual_camera = "image_2"
 
     def __init__(self, folder: Path, camera: str, truth: Path | None = None) -> None:
-        super().__init__(folder.absolute(), camera, truth)
+        super().__init__(folder, camera, truth)
+        self._homes = homes(self.folder, follow(self.folder / camera))
         partner = self.paired_camera()
-        self.images, self.others = self._list_images(camera), self._list_images(partner)
+        self.images = self._list_images(camera)
+        self.others = joined(self.images, self._list_images(partner))
         if not self.images:
             others = ", ".join(name for name in CAMERAS if (folder / name).is_dir())
             raise DataError(f"{folder / camera}: no images: download {_image_zip(camera)} (found {others})")
-        self._sweeps = stems(follow(self.folder / "velodyne"), [".bin"])
+        self._sweeps = joined(self.images, stems(follow(self.folder / "velodyne"), [".bin"]))
+        self._by_number = {int(id_): id_ for id_ in {**self._sweeps, **self.images} if id_.isdecimal()}
         self._calibration = read_key_values(self.folder / "calib.txt")
         K, self._T_cam_cam0 = self._projection(camera)
         self.camera = Camera(K, first_size(self.images.values()))
@@ -120,7 +128,7 @@ class KittiOdometry(CameraDrive):
         """Return what can be read of a frame: also sweeps."""
         readers = super().readers(id_)
         if self._sweeps and self._T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
+            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset)
         return readers
 
     def T_world_cam(self, id_: str) -> Matrix | None:
@@ -134,7 +142,7 @@ class KittiOdometry(CameraDrive):
 
     def time_s(self, id_: str) -> float | None:
         """Return the time that times.txt tells."""
-        return self._times.get(id_)
+        return self._times.get(int(id_))
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and which zip has it."""
@@ -144,7 +152,7 @@ class KittiOdometry(CameraDrive):
             calib = self.folder / "calib.txt"
             sweep = f"{calib}: no Tr (the grey download has none), so the sweeps cannot be placed: "
             sweep += "take calib.txt from data_odometry_calib.zip"
-        raw = RAW_DRIVE.get(self.folder.name)
+        raw = RAW_DRIVE.get(self._sequence)
         truth = "the odometry data set has no depth maps for this camera: use --camera image_2"
         if raw is not None and self.camera_name in self.pairs[1]:
             truth = f"no depth map: name the folder that holds train/{raw[0]}/proj_depth with --truth"
@@ -179,7 +187,7 @@ class KittiOdometry(CameraDrive):
     def _is_kittis(self) -> bool:
         """Tell whether this is a sequence of KITTI's own, by its number and its baseline: others use its layout."""
         least, most = BASELINES_M
-        return self.folder.name in SEQUENCES and least < (self.baseline_m or 0) < most
+        return self._sequence in SEQUENCES and least < (self.baseline_m or 0) < most
 
     @cached_property
     def _T_cam0_velo(self) -> Matrix | None:
@@ -191,37 +199,49 @@ class KittiOdometry(CameraDrive):
 
     @property
     def _pose_file(self) -> Path:
-        return self.folder.parent.parent / "poses" / f"{self.folder.name}.txt"
+        files = [beside([home], f"poses/{home.name}.txt", 1) for home in self._homes]
+        return next((file for file in files if file.is_file()), files[0])
+
+    @property
+    def _sequence(self) -> str:
+        """The sequence's number in the data set: the folder's name, or that of the one that it links to."""
+        return next((home.name for home in self._homes if home.name in SEQUENCES), self.folder.name)
 
     @cached_property
-    def _pose_lines(self) -> list[str]:
-        return read_text(self._pose_file).splitlines() if self._pose_file.is_file() else []
+    def _pose_lines(self) -> dict[int, Line]:
+        """The lines of poses by frame number: by their order, or by the ids that all lines begin with."""
+        lines, count = read_pose_lines(self._pose_file) if self._pose_file.is_file() else [], int(self.ids[-1]) + 1
+        filled = [line for line in lines if line.text]
+        named = by_id(filled, self.images, self._pose_file) if filled else None
+        if named is not None:
+            return {int(id_): line for id_, line in named.items() if id_.isdecimal()}
+        return dict(enumerate(filled if len(filled) == count else lines))
 
     def _T_world_cam0(self, id_: str) -> Matrix | None:
         """Return the pose of camera 0; None for a sequence without poses (11-21, or they were not downloaded)."""
         lines, number = self._pose_lines, int(id_)
         if not lines:
             return None
-        if number >= len(lines):
+        if number not in lines:
             raise DataError(
                 f"{self._pose_file}: {len(lines)} poses, none for frame {id_}: "
                 "download data_odometry_poses.zip again, or leave the frame out with --frames"
             )
-        return parse_pose(lines[number], f"{self._pose_file}: line {number + 1}")
+        return parse_pose(lines[number].text, f"{self._pose_file}: line {lines[number].number}")
 
     @cached_property
-    def _times(self) -> dict[str, float]:
-        """Seconds since the first frame, by frame id; empty without times.txt."""
-        path, width = self.folder / "times.txt", len(self.ids[0])
+    def _times(self) -> dict[int, float]:
+        """Seconds since the first frame, by frame number; empty without times.txt."""
+        path = self.folder / "times.txt"
         if not path.is_file():
             return {}
         try:
-            return {f"{n:0{width}d}": float(line) for n, line in enumerate(read_text(path).split())}
+            return {n: float(line.text) for n, line in enumerate(read_lines(path)) if line.text}
         except ValueError as error:
             raise DataError(f"{path}: expected one number a line ({error}): download it again") from error
 
-    def _read_sweep(self, number: int, width: int) -> Sweep | None:
-        id_ = f"{number:0{width}d}"
+    def _read_sweep(self, number: int) -> Sweep | None:
+        id_ = self._by_number.get(number, "")
         if id_ not in self._sweeps or self._T_cam0_velo is None:
             return None
         T_world_cam0 = self._T_world_cam0(id_)
@@ -230,14 +250,15 @@ class KittiOdometry(CameraDrive):
 
     def _find_maps(self) -> dict[str, dict[str, Path]]:
         """Find the raw drive's depth maps: truth and sparse, by this sequence's frame ids."""
-        raw_drive, first = RAW_DRIVE.get(self.folder.name, ("", 0))
+        raw_drive, first = RAW_DRIVE.get(self._sequence, ("", 0))
         if self.truth is None or not raw_drive or self.camera_name not in self.pairs[1]:
             return {}
-        maps = _kitti_maps.given(Path(self.truth), raw_drive, f"image_0{self.camera_name[-1]}")
+        maps = _kitti_maps.given(self.truth, [raw_drive], f"image_0{self.camera_name[-1]}")
         raw_ids = {id_: f"{int(id_) + first:010d}" for id_ in self.ids}
+        by_raw = {what: joined(raw_ids.values(), paths) for what, paths in maps.items()}
         return {
             what: {id_: paths[raw_id] for id_, raw_id in raw_ids.items() if raw_id in paths}
-            for what, paths in maps.items()
+            for what, paths in by_raw.items()
         }
 
 

@@ -15,6 +15,7 @@ Quirks kept here:
 - The depth maps (`groundtruth`, `velodyne_raw`) are other downloads: looked for beside, or under --truth.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -37,15 +38,21 @@ from priors.drives._files import (
     split_projection,
     stems,
 )
+from priors.drives._links import beside, homes
 from priors.drives._oxts import Track
 from priors.drives._rigs import KITTI
 from priors.drives._velodyne import SECONDS_PER_RADIAN, SWEEP_S, read_sweep_file
 from priors.errors import DataError
+from priors.frame_ids import joined
 from priors.geometry import invert
 from priors.types import Camera, Matrix, Sweep
 
 # Frames built in order share sweeps: 11 accumulated, and some workers ahead. 2 MB each.
 SWEEPS_KEPT = 24
+BELOW = 2
+"""How many levels below the data set's own folder its drives are: a date, then a drive."""
+CAMERAS_FILE, VELO_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
+CALIBRATION = "download the date's calibration again"
 CAMERAS = ("image_00", "image_01", "image_02", "image_03")
 DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 """Of KITTI's own recordings; others use its layout."""
@@ -54,6 +61,11 @@ DATES = ("2011_09_26", "2011_09_28", "2011_09_29", "2011_09_30", "2011_10_03")
 def recognises(path: Path) -> bool:
     """Tell whether the folder is a drive, a date or a folder of dates."""
     return bool(_drive_folders(path))
+
+
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a drive."""
+    return any((folder / name / "data").is_dir() for name in CAMERAS)
 
 
 def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
@@ -65,7 +77,7 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
 
 def _drive_folders(path: Path) -> list[Path]:
     """List the drives at path, or where it is none itself, one or two levels below."""
-    return search(path, lambda folder: any((folder / name / "data").is_dir() for name in CAMERAS), 2)
+    return search(path, is_drive, BELOW)
 
 
 @dataclass(frozen=True)
@@ -86,16 +98,20 @@ class KittiRaw(CameraDrive):
 
     def __init__(self, folder: Path, camera: str = "image_02", truth: Path | None = None) -> None:
         super().__init__(folder, camera, truth)
-        partner = self.paired_camera()
-        self.images, self.others = _images(folder, camera), _images(folder, partner)
+        folder, partner = self.folder, self.paired_camera()
+        self.images = _images(folder, camera)
+        self.others = joined(self.images, _images(folder, partner))
         if not self.images:
             raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
-        self._sweeps = stems(follow(folder / "velodyne_points") / "data", [".bin"])
+        self._sweeps = joined(self.images, stems(follow(folder / "velodyne_points") / "data", [".bin"]))
+        self._by_number = {int(id_): id_ for id_ in {**self._sweeps, **self.images} if id_.isdecimal()}
         self._track = Track(follow(folder / "oxts"))
-        self.calibration = read_calibration(folder.parent, camera)
+        self._homes = homes(folder, follow(folder / camera) / "data")
+        self._files = {name: beside(self._homes, name) for name in (CAMERAS_FILE, VELO_FILE, IMU_FILE)}
+        self.calibration = read_calibration(self._files, camera)
         self.camera = self.calibration.camera
         self.baseline_m = self._read_baseline(partner) if self.others else None
-        self.rig = KITTI if folder.name.startswith(DATES) else None
+        self.rig = KITTI if any(home.name.startswith(DATES) for home in self._homes) else None
         self.maps = self._find_maps()
         self._read_sweep = lru_cache(maxsize=SWEEPS_KEPT)(self._load_sweep)
 
@@ -105,26 +121,32 @@ class KittiRaw(CameraDrive):
 
     def sources(self) -> list[Path]:
         """List the files of calibration and poses."""
-        return [*sorted(self.folder.parent.glob("calib_*.txt")), *self._track.sources]
+        files = {path.name: path for home in reversed(self._homes) for path in home.parent.glob("calib_*.txt")}
+        return [*(files[name] for name in sorted(files)), *self._track.sources]
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each sensor has, for the audit."""
-        return {"other": list(self.others), "sweep": list(self._sweeps), "oxts": list(self._track.files)}
+        oxts = joined(self.images, self._track.files)
+        return {"other": list(self.others), "sweep": list(self._sweeps), "oxts": list(oxts)}
 
     def readers(self, id_: str) -> Readers:
         """Return what can be read of a frame: also sweeps, and the street's sky masks."""
         readers = super().readers(id_)
         if self._sweeps and self.calibration.T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset, len(id_))
+            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset)
         if id_ in self._skies:
             readers["sky"] = lambda: read_sized(self._skies[id_], self.camera) > 127
         return readers
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
+        sweep = f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data"
+        if self._sweeps:
+            sweep = f"{self._files[VELO_FILE]}: no such file, so the sweeps cannot be placed: {CALIBRATION}"
         return {
+            **self._lacking_pose,
             "other": f"no image {self.partner}/data/{id_} in {self.folder}: stereo needs both cameras",
-            "sweep": f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data",
+            "sweep": sweep,
             **self._lacking_maps,
             "sky": f"no sky masks beside {self.folder.name}: KITTI has none, the embedded street has",
         }
@@ -145,7 +167,7 @@ class KittiRaw(CameraDrive):
     @cached_property
     def _skies(self) -> dict[str, Path]:
         """Map frame id to sky mask (255 = sky); only the embedded street has them."""
-        return stems(self.folder / "sky" / self.camera_name / "data", [".png"])
+        return joined(self.images, stems(self.folder / "sky" / self.camera_name / "data", [".png"]))
 
     @cached_property
     def _T_cam_velo(self) -> Matrix | None:
@@ -159,15 +181,17 @@ class KittiRaw(CameraDrive):
         return read_times(path) if path.exists() else {}
 
     def _read_baseline(self, partner: str) -> float:
-        T_other_cam0 = read_calibration(self.folder.parent, partner).T_cam_cam0
+        T_other_cam0 = read_calibration(self._files, partner).T_cam_cam0
         right_m = float(self.calibration.T_cam_cam0[0, 3] - T_other_cam0[0, 3])
-        return self.baseline(right_m, self.folder.parent / "calib_cam_to_cam.txt")
+        return self.baseline(right_m, self._files[CAMERAS_FILE])
 
     def _find_maps(self) -> dict[str, dict[str, Path]]:
         """Find the drive's depth maps: truth and sparse, by frame id."""
         if self.truth is not None:
-            return _kitti_maps.given(Path(self.truth), self.folder.name, self.camera_name)
-        return _kitti_maps.beside(self._above, self.folder.name, self.camera_name, self.camera.size)
+            maps = _kitti_maps.given(self.truth, self._names, self.camera_name)
+        else:
+            maps = _kitti_maps.beside(self._above, self._names, self.camera_name, self.camera.size)
+        return {what: joined(self.images, paths) for what, paths in maps.items()}
 
     @cached_property
     def _lacking_maps(self) -> dict[str, str]:
@@ -177,23 +201,36 @@ class KittiRaw(CameraDrive):
             if paths:
                 reasons[what] = f"{next(iter(paths.values())).parent}: no map of this frame"
             else:
-                reasons[what] = _kitti_maps.lacking(self._above, self.folder.name, self.camera_name, what)
+                reasons[what] = _kitti_maps.lacking(self._above, self._names, self.camera_name, what)
         return reasons
 
     @property
     def _above(self) -> list[Path]:
-        return list(self.folder.absolute().parents)[:3]
+        return list(dict.fromkeys(above for home in self._homes for above in list(home.parents)[:3]))
+
+    @property
+    def _names(self) -> list[str]:
+        """What the drive may be called where its depth maps are: its folder's name, and where links lead."""
+        return list(dict.fromkeys(home.name for home in self._homes))
+
+    @cached_property
+    def _lacking_pose(self) -> dict[str, str]:
+        """Say which file the poses lack, where there are oxts records; nothing where all are there, or no records."""
+        for name in (VELO_FILE, IMU_FILE):
+            if self._track.files and not self._files[name].exists():
+                return {"pose": f"{self._files[name]}: no such file, so oxts tells no camera's pose: {CALIBRATION}"}
+        return {}
 
     def _T_world_velo(self, id_: str) -> Matrix | None:
         T_velo_imu, T_world_imu = self.calibration.T_velo_imu, self._track.T_world_imu(id_)
         return None if T_velo_imu is None or T_world_imu is None else T_world_imu @ invert(T_velo_imu)
 
-    def _load_sweep(self, number: int, width: int) -> Sweep | None:
-        id_ = f"{number:0{width}d}"
+    def _load_sweep(self, number: int) -> Sweep | None:
+        id_ = self._by_number.get(number, "")
         if id_ not in self._sweeps:
             return None
         xyz_m = read_sweep_file(self._sweeps[id_])
-        velocity = self._velocity(number, width)
+        velocity = self._velocity(number)
         time_s = None
         if velocity is not None:
             azimuth = np.arctan2(xyz_m[:, 1], xyz_m[:, 0])
@@ -202,9 +239,9 @@ class KittiRaw(CameraDrive):
         xyz_m.flags.writeable = False  # sweeps are shared
         return Sweep(xyz_m, self._T_world_velo(id_), time_s, velocity)
 
-    def _velocity(self, number: int, width: int) -> Matrix | None:
+    def _velocity(self, number: int) -> Matrix | None:
         """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame."""
-        around = [(k, self._pose_or_none(f"{number + k:0{width}d}")) for k in (-1, 0, 1)]
+        around = [(k, self._pose_or_none(number + k)) for k in (-1, 0, 1)]
         poses = [(k, pose) for k, pose in around if pose is not None]
         if len(poses) < 2:
             return None
@@ -213,10 +250,10 @@ class KittiRaw(CameraDrive):
         T_a_b = invert(T_world_a) @ T_world_b
         return np.concatenate([T_a_b[:3, 3], Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()]) / seconds
 
-    def _pose_or_none(self, id_: str) -> Matrix | None:
+    def _pose_or_none(self, number: int) -> Matrix | None:
         """A neighbour's pose; a damaged one is as good as none here, and an error at its own frame."""
         try:
-            return self._T_world_velo(id_)
+            return self._T_world_velo(self._track.id_of(number))
         except DataError:
             return None
 
@@ -226,9 +263,9 @@ def _images(folder: Path, camera: str) -> dict[str, Path]:
     return {id_: path for id_, path in images.items() if id_.isdecimal()}
 
 
-def read_calibration(date: Path, camera: str) -> RigCalibration:
-    """Read a date's calibration files for one camera (image_00 .. image_03)."""
-    path = date / "calib_cam_to_cam.txt"
+def read_calibration(files: Mapping[str, Path], camera: str) -> RigCalibration:
+    """Read a date's calibration files, by their names, for one camera (image_00 .. image_03)."""
+    path = files[CAMERAS_FILE]
     values = read_key_values(path)
     number = camera[-2:]
     P = need(values, f"P_rect_{number}", 12, path).reshape(3, 4)
@@ -236,12 +273,12 @@ def read_calibration(date: Path, camera: str) -> RigCalibration:
     width, height = need(values, f"S_rect_{number}", 2, path)
     R_rect = np.eye(4)
     R_rect[:3, :3] = need(values, "R_rect_00", 9, path).reshape(3, 3)
-    T_cam_velo = _read_rigid(date / "calib_velo_to_cam.txt")
+    T_cam_velo = _read_rigid(files[VELO_FILE])
     return RigCalibration(
         camera=Camera(K, (int(height), int(width))),
         T_cam_cam0=T_cam_cam0,
         T_cam0_velo=None if T_cam_velo is None else R_rect @ T_cam_velo,
-        T_velo_imu=_read_rigid(date / "calib_imu_to_velo.txt"),
+        T_velo_imu=_read_rigid(files[IMU_FILE]),
     )
 
 

@@ -12,11 +12,12 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.codecs import as_grey
 from priors.learn import pair_file
 from priors.learn.eye_views import RIGHT, read_views, sequences
 from priors.learn.stereo_pair import StereoPair
 from priors.learn.teacher_maps import find_map, is_fresh, offset, read_map
-from priors.pairs.matching import match, to_grey
+from priors.pairs.matching import match
 from priors.pairs.smoothing import diffuse
 from priors.sky import sky_mask
 from priors.types import FloatMap, Image, Mask
@@ -68,7 +69,7 @@ def label_drives(data: Path, out: Path, teacher: Path | None = None) -> list[Pat
 
 def label(left: Image, right: Image, matched_px: FloatMap, teacher_px: FloatMap | None = None) -> StereoPair:
     """Label a pair (h, w) by what was matched (h, w), px, 0 = none, and a teacher's disparities, if there are any."""
-    grey, grey_right = to_grey(left), to_grey(right)
+    grey, grey_right = as_grey(left), as_grey(right)
     smooth_px, _ = diffuse(matched_px, grey)
     calm = (matched_px > 0) & (np.abs(matched_px - smooth_px) < CALM_PX)
     sky, open_ = find_sky(left, matched_px)

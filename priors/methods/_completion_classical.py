@@ -18,6 +18,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.codecs import as_grey
 from priors.errors import DataError
 from priors.types import Camera, Depth, FloatMap, Image, Mask, Matrix
 
@@ -74,7 +75,7 @@ def complete(
     doubt = np.zeros(len(samples.inverse), np.float32)
     if T_cam_lidar is not None:
         samples, doubt = _drop_covered(samples, camera, T_cam_lidar)
-    grey: Image = image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8)
+    grey = as_grey(image)
     filled = _fill(samples, doubt, grey, np.float32(guidance * CONTRAST), LEVELS)
     return _finish(samples, filled, reach_px, grey.shape)
 

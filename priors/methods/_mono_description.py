@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from priors.errors import DataError
+from priors.text import read_text
 
 OUTPUTS = ("metric-depth", "relative-depth", "disparity")
 FITS = ("stretch", "pad")
@@ -80,9 +81,9 @@ def description_path(weights: Path) -> Path:
 def _read(path: Path) -> dict[str, Any]:
     """Read the entries of a description."""
     try:
-        text = path.read_text()
+        text = read_text(path)
         entries = tomllib.loads(text) if path.suffix == ".toml" else json.loads(text)
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise DataError(f"{path}: cannot be read ({error})") from error
     if not isinstance(entries, dict):
         raise DataError(f"{path}: expected keys and values")

@@ -81,8 +81,5 @@ def as_view(frame: Frame, reference: ReferenceDepth) -> LabelledView:
 
 def _motion(frame: Frame, other: Frame) -> list[float]:
     """Return the motion from a frame to another, 12 numbers of a (3, 4) pose; DataError where one has no pose."""
-    T_a, T_b = frame.T_world_cam, other.T_world_cam
-    if T_a is None or T_b is None:
-        raise DataError(f"frames {frame.id} and {other.id}: no poses: choose another --mono.adapt than video")
-    T_b_a: Matrix = geometry.invert(T_b) @ T_a
+    T_b_a: Matrix = geometry.invert(other.pose()) @ frame.pose()
     return [round(float(value), 6) for value in T_b_a[:3].ravel()]

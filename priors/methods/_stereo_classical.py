@@ -3,7 +3,8 @@
 import cv2
 import numpy as np
 
-from priors.pairs.matching import match, to_grey
+from priors.codecs import as_grey
+from priors.pairs.matching import match
 from priors.pairs.smoothing import diffuse
 from priors.types import FloatMap, Image
 
@@ -16,7 +17,7 @@ STEEP = 3.0  # px per px: what is steeper is an edge
 def estimate(left: Image, right: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
     """Return the left view's disparity (height, width), 0 = none, and the mean error to expect of it, px."""
     matched_px = match(left, right, max_disparity_px)
-    disparity_px, evidence = diffuse(matched_px, to_grey(left))
+    disparity_px, evidence = diffuse(matched_px, as_grey(left))
     return disparity_px, expected_error(matched_px, disparity_px, evidence)
 
 

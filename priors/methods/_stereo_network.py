@@ -10,11 +10,11 @@ import cv2
 import numpy as np
 from torch import Tensor
 
+from priors.codecs import as_grey
 from priors.methods._network import Network
 from priors.nets import runtime, weights
 from priors.nets.confidence import ConfidenceCalibration
 from priors.nets.export import Graph, Graphs
-from priors.pairs.matching import to_grey
 from priors.types import FloatMap, Image
 
 Run = Callable[[Tensor, Tensor, int], tuple[FloatMap, FloatMap, FloatMap]]
@@ -105,7 +105,7 @@ def _span(left: Image, right: Image) -> slice:
     """Return the slice from the first to the last line of a pair that varies; an empty one where none does."""
 
     def varies(line: int) -> bool:
-        greys = (to_grey(np.ascontiguousarray(view[line : line + 1])) for view in (left, right))
+        greys = (as_grey(np.ascontiguousarray(view[line : line + 1])) for view in (left, right))
         return any(int(grey.max()) - int(grey.min()) >= LEAST_CONTRAST for grey in greys)
 
     lines = left.shape[0] if left.size else 0

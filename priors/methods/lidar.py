@@ -8,18 +8,20 @@ What must go, and the test that finds it:
 The windows are angles: what separates a 64-line scanner's samples, turned into pixels by the focal length.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import ClassVar, Self
 
 import cv2
 import numpy as np
 
-from priors.errors import DataError, expect
+from priors.errors import DataError, expect_between
 from priors.geometry import invert
 from priors.machine import threads
 from priors.pairs.matching import quick_match
 from priors.pairs.read import read_pair
-from priors.types import Depth, FloatMap, Frame, Input, Mask, Matrix, Method, Sweep
+from priors.types import Depth, Drive, FloatMap, Frame, Input, Mask, Matrix, Method, Sweep
 
 LINE_GAP_RAD = 0.0074  # between two scan lines of an HDL-64: 0.42 degrees
 COLUMN_GAP_RAD = 0.0030  # between two firings of one laser at 10 Hz: 0.17 degrees
@@ -32,6 +34,8 @@ STEREO_SLACK_PX, STEREO_SLACK = 1.0, 0.05  # px at full size plus a share of the
 STEREO_FOCAL_PX = 721.0  # the slack's pixels are those of KITTI's cameras
 SEARCH_MARGIN_PX = 4  # beyond the disparities that the LiDAR saw
 NO_SOURCE = np.int16(32767)
+MOST_SWEEPS = 10_001  # 17 minutes at 10 Hz
+FEW = 10  # frames in which poses are looked for
 
 
 @dataclass(frozen=True)
@@ -53,7 +57,7 @@ class Lidar(Method):
     VERSION: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
-        expect(self.sweeps >= 1, "--lidar.sweeps", self.sweeps, "1 or more")
+        expect_between(1, self.sweeps, MOST_SWEEPS, "--lidar.sweeps")
 
     @property
     def reads(self) -> tuple[Input, ...]:
@@ -63,8 +67,18 @@ class Lidar(Method):
     @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
         """Return the config as it will work on this drive: without poses or a second camera, parts are off."""
-        sweeps = self.sweeps if frame.T_world_cam is not None else 1
+        # A pose that is missing by mistake is told for each frame, not left out of the config.
+        known = frame.T_world_cam is not None or "pose" in frame.missing
+        sweeps = self.sweeps if known else 1
         return replace(self, sweeps=sweeps, stereo=self.stereo and frame.baseline_m is not None)
+
+    def prepare(
+        self, drive: Drive, folder: Path, on_note: Callable[[str], None] = lambda line: None
+    ) -> Callable[[Frame], Depth]:
+        """Tell that a drive has no poses; nothing has to be learned from it."""
+        if self.sweeps == 1 and not any(drive[index].T_world_cam is not None for index in range(min(len(drive), FEW))):
+            on_note(f"{drive.name}: no poses to accumulate sweeps by: each map is made of its own sweep alone")
+        return self
 
     @threads.limited(None)
     def __call__(self, frame: Frame) -> Depth:
@@ -89,6 +103,8 @@ def accumulate(frame: Frame, count: int, motion: bool = True) -> FloatMap:
     """
     from priors.kernels.zbuffer import splat
 
+    if count > 1 and frame.T_world_cam is None and "pose" in frame.missing:
+        raise DataError(f"frame {frame.id}: {frame.missing['pose']}; or take its own sweep alone: --lidar.sweeps 1")
     depth_m = np.full(frame.camera.size, np.inf, dtype=np.float32)
     sources = np.full(frame.camera.size, NO_SOURCE)
     free_m = np.zeros((0, 0), dtype=np.float32)  # not known

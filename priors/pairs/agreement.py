@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.codecs import as_grey
 from priors.geometry import convert_disparity, project, transform, untwist
 from priors.pairs import matching
 from priors.pairs.read import read_pair
@@ -22,7 +23,7 @@ def match_corners(frame: Frame) -> npt.NDArray[np.float64] | None:
     """
     if not (frame.has("image") and frame.has("other")):
         return None
-    image, other = matching.to_grey(frame.image()), matching.to_grey(frame.other())
+    image, other = as_grey(frame.image()), as_grey(frame.other())
     scale = 1
     while image.shape[1] > WIDEST_PX:
         image, other, scale = matching.halve(image), matching.halve(other), 2 * scale

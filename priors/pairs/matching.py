@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.codecs import as_grey
 from priors.types import FloatMap, Image
 
 RANGE_STEP_PX = 16  # OpenCV wants a multiple of 16 disparities
@@ -33,7 +34,7 @@ def match(left: Image, right: Image, max_disparity_px: int | None = None, window
     Returns:
         disparity_px (height, width) of the left view, checked against the right view; 0 = no value.
     """
-    left, right = to_grey(left), to_grey(right)
+    left, right = as_grey(left), as_grey(right)
     if max_disparity_px is None:
         max_disparity_px = find_max_disparity(left, right)
     down_px = _match_grey(left, right, max_disparity_px, window)
@@ -49,7 +50,7 @@ def quick_match(left: Image, right: Image, max_disparity_px: int | None = None) 
         disparity_px (height, width) at the left view's own size and scale, left-right checked; 0 = no value.
     """
     height, width = left.shape[:2]
-    left, right = halve(to_grey(left)), halve(to_grey(right))
+    left, right = halve(as_grey(left)), halve(as_grey(right))
     if max_disparity_px is None:
         max_disparity_px = 2 * find_max_disparity(left, right)
     half = _match_grey(left, right, (max_disparity_px + 1) // 2, 3)
@@ -69,7 +70,7 @@ def quarter_match(left: Image, right: Image) -> FloatMap:
     Returns:
         disparity_px (about height / 4, about width / 4) in pixels of the small images; 0 = no value.
     """
-    small_left, small_right = halve(halve(to_grey(left))), halve(halve(to_grey(right)))
+    small_left, small_right = halve(halve(as_grey(left))), halve(halve(as_grey(right)))
     return _match_grey(small_left, small_right, small_left.shape[1] // 4, 5)
 
 
@@ -82,11 +83,6 @@ def largest_disparity(small_px: FloatMap, width: int) -> int:
     if matched_px.size < 50:
         return max(RANGE_STEP_PX, width // 8)
     return int(np.ceil(4 * float(np.quantile(matched_px, 0.9995)) + 4))
-
-
-def to_grey(image: Image) -> Image:
-    """Return the image as (height, width) uint8; grey passes through."""
-    return image if image.ndim == 2 else np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), dtype=np.uint8)
 
 
 def halve(image: Image) -> Image:

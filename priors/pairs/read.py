@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors import geometry
+from priors.codecs import as_grey
 from priors.errors import DataError
 from priors.geometry import mirror_columns
 from priors.pairs.matching import largest_disparity, quarter_match
@@ -64,8 +65,13 @@ def baseline(frame: Frame) -> float:
 
 
 def read_pair(frame: Frame) -> Pair:
-    """Read a frame's pair; DataError where an image is missing, is no image, or the two differ in size."""
+    """Read a frame's pair, grey where one of the two is.
+
+    Raises DataError where an image is missing, is no image, or the two differ in size.
+    """
     image, other = frame.image(), frame.other()
+    if image.ndim != other.ndim:  # one camera is grey: so is the pair
+        image, other = as_grey(image), as_grey(other)
     if image.shape != other.shape:
         sizes = " and ".join("x".join(map(str, (a.shape[1], a.shape[0], *a.shape[2:]))) for a in (image, other))
         raise DataError(f"frame {frame.id}: the two images of the pair are {sizes}: expected equal, resize neither")

@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.codecs import as_grey
 from priors.geometry import convert_disparity, project, scatter_nearest, transform, untwist
-from priors.pairs.matching import to_grey
 from priors.pairs.smoothing import diffuse
 from priors.types import Camera, FloatMap, Image, Matrix, Rig, Sweep
 
@@ -109,7 +109,7 @@ def compare_with_sweep(
     """Return the residuals of a left camera's match (height, width), px, 0 = none, against a LiDAR sweep."""
     uv_px, depth_m = project(camera, transform(T_cam_lidar, untwist(sweep)))
     lidar_px = convert_disparity(scatter_nearest(uv_px, depth_m, camera.size), camera.fx, baseline_m)
-    smooth_px, _ = diffuse(matched_px, to_grey(image))
+    smooth_px, _ = diffuse(matched_px, as_grey(image))
     return compare(camera, lidar_px, matched_px, row_slope(smooth_px))
 
 

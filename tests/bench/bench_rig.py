@@ -18,10 +18,11 @@ import cv2
 import numpy as np
 
 from priors import drives
+from priors.codecs import as_grey
 from priors.drives import DriveOptions
 from priors.geometry import invert
 from priors.learn.teacher_maps import find_map
-from priors.pairs.matching import match, to_grey
+from priors.pairs.matching import match
 from priors.pairs.read import read_pair
 from priors.pairs.rectification import RectificationError, Residuals, compare, compare_with_sweep, fit, join, row_slope
 from priors.types import Drive, FloatMap, Frame
@@ -92,7 +93,7 @@ def by_motion(drive: Drive, index: int) -> Residuals:
     frame = drive[index]
     pair = read_pair(frame)
     matched_px = match(pair.left, pair.right)
-    true_px = motion_disparity(frame, to_grey(pair.left), drive[index + 1], matched_px)
+    true_px = motion_disparity(frame, as_grey(pair.left), drive[index + 1], matched_px)
     return compare(frame.camera, true_px, matched_px, row_slope(blurred(matched_px)))
 
 
@@ -116,7 +117,7 @@ def motion_disparity(frame: Frame, grey: Any, after: Frame, matched_px: FloatMap
         return (seen[:2] / seen[2]).T
 
     expected = land(near_px)
-    later, guess = to_grey(after.image()), np.ascontiguousarray(expected, np.float32)
+    later, guess = as_grey(after.image()), np.ascontiguousarray(expected, np.float32)
     ahead, there, _ = cv2.calcOpticalFlowPyrLK(grey, later, start, guess, None, **TRACK)
     back, again, _ = cv2.calcOpticalFlowPyrLK(later, grey, ahead, start.copy(), None, **TRACK)
     parallax = (land(near_px + 0.01) - expected) / 0.01  # px of motion per px of disparity

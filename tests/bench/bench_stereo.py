@@ -13,10 +13,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.codecs import as_grey
 from priors.drives import DriveOptions, open_drive
 from priors.geometry import convert_disparity
 from priors.methods.stereo import Stereo
-from priors.pairs.matching import to_grey
 from priors.types import Depth, Frame
 
 SHARES = (1.0, 0.9228, 0.8, 0.6, 0.4, 0.2)
@@ -29,7 +29,7 @@ DRIVE = SHARED / "data/kitti_raw/2011_09_26/2011_09_26_drive_0001_sync"
 def three_way(frame: Frame) -> Depth:
     """OpenCV's 3-way matcher at 192 disparities, grey, left view."""
     matcher = cv2.StereoSGBM.create(0, 192, 3, 72, 288, 1, 63, 10, 100, 2, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
-    disparity_px = matcher.compute(to_grey(frame.image()), to_grey(frame.other())).astype(np.float32) / 16
+    disparity_px = matcher.compute(as_grey(frame.image()), as_grey(frame.other())).astype(np.float32) / 16
     assert frame.baseline_m is not None
     return Depth(convert_disparity(disparity_px, frame.camera.fx, frame.baseline_m))
 

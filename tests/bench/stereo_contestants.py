@@ -10,10 +10,11 @@ from typing import Any
 import cv2
 import numpy as np
 
+from priors.codecs import as_grey
 from priors.drives._rigs import KITTI
 from priors.geometry import convert_disparity
 from priors.methods.stereo import Stereo
-from priors.pairs.matching import halve, to_grey
+from priors.pairs.matching import halve
 from priors.pairs.rectification import NONE, RectificationError, usual_error
 from priors.types import Depth, Frame
 
@@ -73,12 +74,12 @@ def moved(contestant: Contestant, frame: Frame) -> dict[str, Contestant]:
 
 def sgbm(frame: Frame, error: RectificationError = NONE) -> Depth:
     """OpenCV's 3-way matcher at 192 disparities, grey; what it leaves out is left out."""
-    return _depth(frame, _match(to_grey(frame.image()), to_grey(frame.other()), 192), error)
+    return _depth(frame, _match(as_grey(frame.image()), as_grey(frame.other()), 192), error)
 
 
 def sgbm_half(frame: Frame, error: RectificationError = NONE) -> Depth:
     """The same at half the size, 96 disparities; the result is doubled to full size."""
-    image, other = halve(to_grey(frame.image())), halve(to_grey(frame.other()))
+    image, other = halve(as_grey(frame.image())), halve(as_grey(frame.other()))
     height, width = frame.camera.size
     half = _match(image, other, 96)
     doubled = 2 * cv2.resize(half, (2 * half.shape[1], 2 * half.shape[0]), interpolation=0)

@@ -1,0 +1,73 @@
+"""What a fit learns from: the drive and the prior, where the user names one of them, both or none."""
+
+import shlex
+from collections.abc import Sequence
+from itertools import groupby
+from pathlib import Path
+
+from cli.arguments import DriveArguments, drive_key, reopen_drive
+from cli.console import err
+from priors import cache
+from priors.advice import PriorAdvice, advise_prior
+from priors.cache import Prior
+from priors.errors import DataError, UsageError
+from priors.types import Drive
+
+AUTO = Path("auto")
+"""`--prior auto` is `--prior cache/`."""
+CACHE = Path("cache")
+
+
+def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str]) -> tuple[Drive, Prior | None]:
+    """Open the drive and the prior of a fit, and say what was chosen where the user named neither.
+
+    Args:
+        args: where the drive is; without DATA it is the prior's, else the only one here or below.
+        prior: a prior's folder, or one that holds several; None: colours alone.
+        typed: program, command and flags, to repeat where there is something to choose.
+
+    Raises:
+        UsageError: the cache holds priors of several drives and none is named: they are listed.
+    """
+    if prior is None:
+        return args.open(typed), None
+    priors = cache.find(CACHE if prior == AUTO else prior)
+    if args.data is not None:
+        drive = args.open()
+        own = [one for one in priors if one.manifest.get("fingerprint") == drive.fingerprint()]
+        return drive, _choose(own or priors, drive)
+    drives = [list(together) for _, together in groupby(sorted(priors, key=drive_key), key=drive_key)]
+    if len(drives) > 1:
+        raise UsageError(f"{prior}: priors of {len(drives)} drives: name one:{_listed(drives, typed)}")
+    drive = reopen_drive(priors[0], args.part.truth)
+    err.print(f"drive: {drive.name}, as its priors say")
+    return drive, _choose(priors, drive)
+
+
+def _choose(priors: Sequence[Prior], drive: Drive) -> Prior:
+    """Return the prior that suits a fit; where there are several, say which, why, and how to take another."""
+    made = [one for one in priors if one.ids()]
+    if not made:
+        raise DataError(f"{priors[0].folder}: no maps yet: build it first (`priors build`)")
+    if len(made) == 1:
+        return made[0]
+    advice = advise_prior(made, drive)
+    err.print(f"prior: {advice.label}: {advice.reason}{_others(advice)}")
+    return advice.prior
+
+
+def _others(advice: PriorAdvice) -> str:
+    """Say how to take another."""
+    label, other = advice.others[0]
+    return f"; another: --prior {shlex.quote(str(other.folder))} ({label})"
+
+
+def _listed(drives: Sequence[Sequence[Prior]], typed: Sequence[str]) -> str:
+    """Number the drives, each as the command that takes its priors."""
+    lines = []
+    for number, priors in enumerate(drives, 1):
+        words = list(typed)
+        at = words.index("--prior") + 1 if "--prior" in words else len(words)
+        words[at : at + 1] = [str(priors[0].folder.parent)]
+        lines.append(f"\n  {number}. {shlex.join(words)}")
+    return "".join(lines)

@@ -1,0 +1,1 @@
+"""A field, live in a browser: rendered as the camera moves, coarse to fine."""

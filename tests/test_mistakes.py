@@ -1,0 +1,87 @@
+"""Mistyped arguments are answered in one line; text is printed as it is, on any stream."""
+
+import io
+from dataclasses import dataclass, field
+
+import pytest
+
+from cli import mistakes
+from cli.program import Program
+from cli.stand_ins import say_plainly, stand_in
+from cli.terminal import Screen
+from priors.errors import UsageError
+
+
+@dataclass(frozen=True)
+class Inner:
+    model: str = "small"
+    fill: bool = True
+
+
+@dataclass(frozen=True)
+class Outer:
+    size_px: int = 3
+    stereo: Inner = field(default_factory=Inner)
+
+
+def wrong(*words: str) -> str:
+    with pytest.raises(UsageError) as caught:
+        mistakes.parse(Outer, "priors x", "", words)
+    assert "\n" not in str(caught.value)
+    return str(caught.value)
+
+
+def test_the_nearest_flag_is_told() -> None:
+    assert wrong("--sise-px", "3") == "priors x has no flag --sise-px: did you mean --size-px?"
+    assert wrong("--stero.model=m").endswith("did you mean --stereo.model?")
+    assert wrong("--zzzzzzzzz").endswith("see priors x --help")
+
+
+@pytest.mark.parametrize(("words", "said"), [(["--size-px"], "--size-px"), (["--size-px", "a"], "'a'"), (["y"], "y")])
+def test_what_is_wrong_is_named(words: list[str], said: str) -> None:
+    assert said in wrong(*words)
+
+
+@pytest.mark.parametrize("words", [["--stereo.model", ""], ["--stereo.model="], [""]])
+def test_an_empty_word_is_no_folder(words: list[str]) -> None:
+    assert "found nothing" in wrong(*words)
+
+
+def test_what_is_right_is_parsed() -> None:
+    assert mistakes.parse(Outer, "priors x", "", ["--size_px", "4", "--stereo.no-fill"]) == Outer(4, Inner(fill=False))
+
+
+def test_the_nearest_command_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    assert Program("priors", "", {"build": ""}, "").run(["biuld"]) == 2
+    assert "did you mean build?" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "latin-1"])
+def test_a_stream_says_stand_ins(encoding: str) -> None:
+    raw = io.BytesIO()
+    stream = io.TextIOWrapper(raw, encoding)
+    say_plainly((stream, None))
+    print("AbsRel ↓ δ<1.25² ☃ \udcff", file=stream, flush=True)
+    told = raw.getvalue().decode(encoding)
+    assert told.startswith("AbsRel v d<1.25")
+    assert "\\u2603" in told and "\\xff" in told
+
+
+def test_every_stand_in_is_ascii() -> None:
+    for character in "↑→δ²é☃\udc80":
+        stand_in(character).encode("ascii")
+
+
+def test_square_brackets_are_printed_as_they_are() -> None:
+    said = io.StringIO()
+    screen = Screen(file=said, width=80)
+    for name in ("cache [v2]", "[/x]", "[bold]", ":smile:"):
+        screen.print(f"wrote {name}")
+        screen.complain(name, name)
+    assert said.getvalue().splitlines()[:4] == [
+        "wrote cache [v2]",
+        "cache [v2]: cache [v2]",
+        "wrote [/x]",
+        "[/x]: [/x]",
+    ]
+    assert "[bold]" in said.getvalue() and ":smile:" in said.getvalue()
