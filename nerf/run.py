@@ -19,8 +19,8 @@ from nerf import checkpoint, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
 from nerf.model import Model
-from nerf.placed import PlacedModel
 from nerf.pictures import save_view
+from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene

@@ -1,14 +1,11 @@
-"""Viewpoints: where views are rendered from, along a drive, along a run's frames or from a file of poses."""
+"""Viewpoints: where views are rendered from, along a drive or from a file of poses."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Self
 
 import numpy as np
 import numpy.typing as npt
 
-from eval.files import write_bytes
 from priors.errors import DataError
 from priors.poses import parse_pose
 from priors.selection import select
@@ -25,32 +22,6 @@ class Viewpoints:
     """Names of the views' files."""
     T_world_cam: npt.NDArray[np.float64]
     """(n, 4, 4) camera to world, the drive's own frame, metres."""
-
-    def among(self, frames: str | None) -> Self:
-        """Return those in a range of frames a:b; None: all of them."""
-        chosen = select(self.ids, frames)
-        return type(self)(self.camera, [self.ids[index] for index in chosen], self.T_world_cam[chosen])
-
-    def save(self, path: Path) -> None:
-        """Write them as JSON, atomically."""
-        content = {
-            "ids": self.ids,
-            "K": self.camera.K.tolist(),
-            "size": list(self.camera.size),
-            "T_world_cam": self.T_world_cam.tolist(),
-        }
-        write_bytes(path, (json.dumps(content) + "\n").encode())
-
-    @classmethod
-    def load(cls, path: Path) -> Self:
-        """Read what `save` wrote; DataError where it is damaged."""
-        try:
-            content = json.loads(path.read_text(encoding="utf-8"))
-            height, width = content["size"]
-            poses = np.array(content["T_world_cam"], dtype=np.float64).reshape(-1, 4, 4)
-            return cls(Camera(np.array(content["K"]), (height, width)), content["ids"], poses)
-        except (ValueError, KeyError, TypeError) as error:
-            raise DataError(f"{path}: damaged ({error}): run the same `nerf fit` again") from error
 
 
 def along(drive: Drive, frames: str | None = None) -> Viewpoints:
