@@ -109,9 +109,7 @@ def reopen_drive(priors: Sequence[Prior], truth: Path | None = None, data: Path 
     for prior in priors:
         if drive.fingerprint() != prior.manifest.get("fingerprint", drive.fingerprint()):
             place = described["path"] if data is None else f"--data {data}"
-            other = (
-                "build again, or name the drive by --data" if data is None else "name the one that they were made of"
-            )
+            other = "build again, or name its own by --data" if data is None else "name the one they were made of"
             raise DataError(
                 f"{place}: is not the drive of {prior.folder}: calibration, poses or first image differ: {other}"
             )

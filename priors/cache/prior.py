@@ -161,6 +161,10 @@ class Prior:
         entries = self.journal.entries()
         return {id_: entry.record for id_, entry in entries.items() if entry.record is not None}
 
+    def is_recorded(self, frame_id: str) -> bool:
+        """Tell whether the checksum of a frame's depth is known, so that reading verifies it."""
+        return "depth" in _written(self.journal.entry(frame_id))
+
     def figures(self, name: str, ids: Iterable[str] | None = None) -> list[float]:
         """Return a figure of the records (seconds, density, ...) of some frames; those without it are left out."""
         lines = self.lines()
