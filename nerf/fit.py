@@ -133,9 +133,7 @@ def _look(result: StepResult, step: int) -> None:
 def _status(config: FitConfig, before: Spent, spent: Spent, result: StepResult) -> Status:
     share = config.progress(spent.step, spent.elapsed_s)
     took_s = spent.elapsed_s - before.elapsed_s
-    return Status(
-        spent.step, spent.elapsed_s, share, result.terms, result.total, result.rays, result.samples, took_s
-    )
+    return Status(spent.step, spent.elapsed_s, share, result.terms, result.total, result.rays, result.samples, took_s)
 
 
 def _left(keeper: Keeper) -> str:
