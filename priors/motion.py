@@ -4,9 +4,10 @@ A path breaks at a step that no car makes: the poses on its two sides do not bel
 poses (accumulated sweeps, fields, video) stays on one side of a break. This file is the one place of that rule.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy.typing as npt
 
 from priors.errors import DataError
 from priors.selection import LARGEST_FRAME_NUMBER
-from priors.types import Drive, Frame, Mask, Matrix
+from priors.types import Drive, Frame, Mask, Matrix, Sweep
 
 Floats = npt.NDArray[np.float64]
 
@@ -48,11 +49,13 @@ class Trajectory:
         return cls(T_world_rig, gaps_s([frame for frame, _ in posed]), [frame.id for frame, _ in posed])
 
     @classmethod
-    def of_numbers(cls, poses: dict[int, Matrix], step_s: float = USUAL_STEP_S) -> Self:
-        """Return the trajectory of poses by frame number, `step_s` apart from number to number."""
+    def of_numbers(cls, poses: Mapping[int, Matrix], times_s: Mapping[int, float]) -> Self:
+        """Return the trajectory of poses by frame number; where not all have a time, numbers are USUAL_STEP_S apart."""
         numbers = sorted(poses)
         T_world_rig = np.array([poses[number] for number in numbers], dtype=np.float64).reshape(-1, 4, 4)
-        return cls(T_world_rig, step_s * np.diff(np.array(numbers, dtype=np.float64)), [str(n) for n in numbers])
+        timed = all(number in times_s for number in numbers)
+        seconds = [times_s[number] if timed else USUAL_STEP_S * number for number in numbers]
+        return cls(T_world_rig, _above_zero(np.diff(np.array(seconds, dtype=np.float64))), [str(n) for n in numbers])
 
     @cached_property
     def steps_m(self) -> Floats:
@@ -92,22 +95,35 @@ class Trajectory:
     def parts(self) -> list[tuple[int, int]]:
         """The stretches between breaks: the first pose of each, and the one after its last."""
         cuts = [0, *(np.flatnonzero(self.breaks) + 1).tolist(), len(self.T_world_rig)]
-        return [(first, end) for first, end in zip(cuts, cuts[1:], strict=False) if end > first]
-
-    @property
-    def longest(self) -> tuple[int, int]:
-        """The part with most poses, the first of equal ones."""
-        return max(self.parts, key=lambda part: part[1] - part[0])
+        return [(first, end) for first, end in pairwise(cuts) if end > first]
 
     @cached_property
     def _part_of(self) -> dict[str, int]:
         """Which part each name lies in."""
         return {name: n for n, (first, end) in enumerate(self.parts) for name in self.names[first:end]}
 
-    def joined(self, one: str, other: str) -> bool:
-        """Tell whether no break lies between two of the names; a name without a pose is joined with none."""
-        part = self._part_of.get(one)
-        return part is not None and part == self._part_of.get(other)
+    def broken(self, one: str, other: str) -> bool:
+        """Tell whether the path breaks between two of the names; False where one of them is none of it."""
+        parts = self._part_of
+        return one in parts and other in parts and parts[one] != parts[other]
+
+    def longest(self, names: Sequence[str]) -> tuple[int, int]:
+        """Return the longest stretch of the names without a break: the position of its first and that after its last.
+
+        Of equal ones it is the first.
+        """
+        cuts = [n for n in range(1, len(names)) if self.broken(names[n - 1], names[n])]
+        return max(pairwise([0, *cuts, len(names)]), key=lambda part: part[1] - part[0])
+
+    def without_far_side(self, sweep: Sweep | None, own: str, sweeps: str) -> Sweep | None:
+        """Return a sweep, without its place where the path breaks between a frame and it.
+
+        Args:
+            sweep: a neighbour's, or the frame's own.
+            own: the frame's name.
+            sweeps: the sweep's.
+        """
+        return replace(sweep, T_world_lidar=None) if sweep is not None and self.broken(own, sweeps) else sweep
 
 
 def trajectory(drive: Drive) -> Trajectory:
@@ -130,4 +146,9 @@ def gaps_s(frames: Sequence[Frame]) -> Floats:
         gaps = USUAL_STEP_S * np.diff(np.array([int(frame.id) for frame in frames], dtype=np.float64))
     else:
         gaps = np.full(max(0, len(frames) - 1), USUAL_STEP_S)
+    return _above_zero(gaps)
+
+
+def _above_zero(gaps: Floats) -> Floats:
+    """Return gaps with those that no clock makes replaced: an error of its own."""
     return np.where(gaps > 0, gaps, USUAL_STEP_S)

@@ -20,6 +20,7 @@ ROOMS = [
     "priors/codecs",
     "priors/machine",
     "priors/kernels",
+    "priors/motion",
     "priors/geometry",
     "priors/sky",
     "priors/draw",

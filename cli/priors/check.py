@@ -5,7 +5,7 @@ from collections import Counter
 from rich.text import Text
 
 from cli.arguments import DriveArguments, parse
-from cli.console import DATA_ERROR, out
+from cli.console import DATA_ERROR, out, progress
 from priors.check import check
 
 EXAMPLES = """Audit a drive: calibration, missing scans, frame joins, stereo sign and vertical offset, pose continuity,
@@ -22,7 +22,7 @@ STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "fatal": "bold red
 def run(arguments: list[str]) -> int:
     """Audit; returns the exit code."""
     drive = parse(DriveArguments, "priors check", EXAMPLES, arguments).open(["priors", "check", *arguments])
-    findings = check(drive)
+    findings = check(drive, progress=progress)
     for finding in findings:
         out.print(
             Text.assemble((f"{finding.level:<8}", STYLES[finding.level]), f"{finding.subject}: {finding.message}")

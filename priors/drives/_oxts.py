@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from priors.drives._files import read_times, stems
 from priors.errors import DataError
 from priors.geometry import invert
+from priors.motion import Trajectory
 from priors.text import read_lines
 from priors.types import Matrix
 
@@ -63,12 +64,25 @@ class Track:
             beside = self.id_of(number + step)
             if late == 0 or beside not in self.files or number + step not in self._stamps:
                 continue
+            if self.path.broken(str(number), str(number + step)):
+                continue
             try:
                 T_beside = self.record(beside)
             except DataError:
                 continue  # it spoils its own frame only
             return between(T, T_beside, late / (self._stamps[number + step] - self._stamps[number]))
         return T
+
+    @cached_property
+    def path(self) -> Trajectory:
+        """The records' trajectory, by frame number; damaged ones are left out."""
+        poses = {}
+        for number, id_ in self._by_number.items():
+            try:
+                poses[number] = self.record(id_)
+            except DataError:
+                continue  # it spoils its own frame only
+        return Trajectory.of_numbers(poses, self._stamps)
 
     @cached_property
     def _stamps(self) -> dict[int, float]:
