@@ -1,5 +1,6 @@
 """The commands: argument plumbing only."""
 
+import logging
 import os
 
 from priors.machine.cpu import hold_down
@@ -10,3 +11,6 @@ from priors.machine.cpu import hold_down
 hold_down()
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+
+# Without a home that can be written matplotlib keeps its settings in a temporary folder; that it does is no news.
+logging.getLogger("matplotlib").setLevel(logging.ERROR)

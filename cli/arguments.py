@@ -14,7 +14,7 @@ from cli.renamed import translate
 from priors import cache, drives
 from priors.cache import Prior
 from priors.drives import DriveOptions
-from priors.errors import DataError, UsageError
+from priors.errors import DataError, expect_between
 from priors.machine import threads
 from priors.places import the_place
 from priors.types import Drive
@@ -55,8 +55,7 @@ class ThreadArguments:
     """Threads to compute with, ours and the libraries'; default: OMP_NUM_THREADS, else every core it may use."""
 
     def __post_init__(self) -> None:
-        if self.threads is not None and self.threads < 1:
-            raise UsageError(f"--threads {self.threads}: expected 1 or more")
+        expect_between(1, self.threads, threads.MOST_THREADS, "--threads")
 
     def limited(self) -> AbstractContextManager[None]:
         """Let what runs inside use so many."""

@@ -10,7 +10,7 @@ from typing import TypeVar
 import tyro
 
 from cli.renamed import flags_of
-from priors.errors import UsageError
+from priors.errors import DataError, UsageError
 
 Parsed = TypeVar("Parsed")
 NEAR = 0.6
@@ -35,13 +35,25 @@ def refuse_unknown(kind: type[object], command: str, arguments: Sequence[str]) -
             raise UsageError(f"{command} has no flag {word.partition('=')[0]}{hint}")
 
 
+def _refuse_empty(arguments: Sequence[str]) -> None:
+    """Raise UsageError at an empty word: as a path it would be the current folder (--cache "$UNSET")."""
+    for before, word in zip(("", *arguments), arguments, strict=False):
+        flag, equals, value = word.partition("=")
+        if not word or (equals and flag.startswith("--") and not value):
+            where = flag or (before if before.startswith("--") else "")
+            raise UsageError(f"{where} '': expected something, found nothing: is a variable unset?".strip())
+
+
 def parse(kind: type[Parsed], command: str, examples: str, arguments: Sequence[str]) -> Parsed:
     """Make a command's dataclass of its arguments; UsageError, one line, where they are wrong."""
     refuse_unknown(kind, command, arguments)
+    _refuse_empty(arguments)
     said = io.StringIO()
     try:
         with redirect_stderr(said):
             return tyro.cli(kind, prog=command, description=examples, args=arguments)
+    except DataError as error:  # a config refused what it was made of
+        raise UsageError(str(error)) from error
     except SystemExit as leaving:
         if not leaving.code:
             raise

@@ -46,6 +46,11 @@ def translate(kind: type[Any], arguments: list[str]) -> list[str]:
     return out
 
 
+def groups(kind: type[Any]) -> list[tuple[type[Any], str]]:
+    """Return the configs among a command's arguments, its own first, and what their flags begin with."""
+    return [(group.kind, group.prefix) for group in _groups(_Group(kind, "", ""))]
+
+
 def flags_of(kind: type[Any]) -> set[str]:
     """Return the flags of a command's arguments, without the dashes; positional arguments are among them."""
     return {

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 from cli.console import out
+from priors.errors import expect
 from priors.view import server
 
 
@@ -30,6 +31,7 @@ class AddressArguments:
 
     def __post_init__(self) -> None:
         server.check_port(self.port)
+        expect(self.host != "", "--host", "''", "an address, for example localhost")
 
     def serve(self, title: str, open_panel: Callable[[Any], Panel]) -> int:
         """Serve until Ctrl-C; returns the exit code.

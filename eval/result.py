@@ -127,7 +127,7 @@ class Result:
             ScoreError: the file is missing, damaged or of another format.
         """
         try:
-            content = json.loads(path.read_text())
+            content = json.loads(path.read_text(encoding="utf-8"))
             if content["format"] != FORMAT:
                 raise ScoreError(f"{path}: metrics of format {content['format']}, expected {FORMAT}: score again")
             ranges_m = tuple(content["protocol"].pop("ranges_m"))

@@ -6,7 +6,9 @@ from dataclasses import dataclass, field
 from nerf.losses import LossConfig
 from nerf.optimise import OptimiserConfig
 from nerf.sample import SamplerConfig
-from priors.errors import expect
+from priors.errors import LARGEST_SEED, expect, expect_between
+
+MOST_RAYS, MOST_STEPS = 1 << 20, 10**9
 
 
 @dataclass(frozen=True)
@@ -46,11 +48,11 @@ class FitConfig:
     """Decides weights, rays and sample positions."""
 
     def __post_init__(self) -> None:
-        expect(self.rays >= 1, "--rays", self.rays, "1 or more")
-        expect(self.steps is None or self.steps >= 1, "--steps", self.steps, "1 or more")
+        expect_between(1, self.rays, MOST_RAYS, "--rays")
+        expect_between(1, self.steps, MOST_STEPS, "--steps")
         timed = self.seconds is not None and 0 < self.seconds < math.inf
         expect(timed or (self.seconds is None and self.steps is not None), "--time", self.seconds, "more than 0")
-        expect(0 <= self.seed < 1 << 63, "--seed", self.seed, "0 or more")
+        expect_between(0, self.seed, LARGEST_SEED, "--seed")
 
     def progress(self, step: int, elapsed_s: float) -> float:
         """Return the spent share of the budget, [0, 1]: of the steps where they are given, else of the time."""

@@ -84,7 +84,7 @@ def fit(
     saved = time.perf_counter()
     clock = saved - elapsed
     run.mkdir(parents=True, exist_ok=True)
-    log = (run / "metrics.jsonl").open("a", buffering=1)
+    log = (run / "metrics.jsonl").open("a", buffering=1, encoding="utf-8")
     try:
         while (progress := config.progress(step, elapsed)) < 1:
             result = model.train(scene, config, step, progress)

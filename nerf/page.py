@@ -99,7 +99,7 @@ def _unusual(values: Mapping[str, Any], usual: Mapping[str, Any], prefix: str = 
 def _log(path: Path) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
     """Read seconds and PSNR of a fit's log, in the order of its steps; a resumed fit's later line replaces a step's."""
     steps: dict[int, tuple[float, float]] = {}
-    for text in path.read_text().splitlines() if path.exists() else []:
+    for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
         try:
             line = json.loads(text)
         except ValueError:

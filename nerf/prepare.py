@@ -19,13 +19,17 @@ import numpy.typing as npt
 
 from eval.files import write_bytes
 from nerf.scene import Scene
-from nerf.split import split
+from nerf.split import check_views, split
 from nerf.stack import Stack, StackWriter
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
+<<<<<<< HEAD
 from priors.motion import trajectory
 from priors.selection import range_of, select
+=======
+from priors.selection import parse_range, select
+>>>>>>> main
 from priors.types import Camera, Depth, Drive
 
 ProgressBar: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
@@ -42,6 +46,10 @@ class SceneConfig:
     """Range of frames, a:b; None: all."""
     filters: Filters = field(default_factory=Filters)
     """Thin the prior's maps once more, without another cache."""
+
+    def __post_init__(self) -> None:
+        check_views(self.views)
+        parse_range(self.frames)
 
 
 def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]]:
@@ -116,7 +124,7 @@ class _Preparation:
                     step()
             record = {"ids": self.ids, "K": camera.K.tolist(), "size": camera.size, "T_world_cam": poses.tolist()}
             write_bytes(path, json.dumps(record).encode())
-        return json.loads(path.read_text())
+        return json.loads(path.read_text(encoding="utf-8"))
 
     def stamps(self, prior: Prior) -> dict[str, str]:
         """Return what tells apart the maps of the frames that have one, by frame id.

@@ -109,7 +109,7 @@ class Report:
             DataError: it is missing, damaged or of another format.
         """
         try:
-            content = json.loads(path.read_text())
+            content = json.loads(path.read_text(encoding="utf-8"))
             if content["format"] != FORMAT:
                 raise DataError(f"{path}: metrics of format {content['format']}, expected {FORMAT}: run nerf eval")
             protocol = Protocol(**content["protocol"] | {"ranges_m": tuple(content["protocol"]["ranges_m"])})
@@ -204,7 +204,7 @@ class _Scorer:
         """Return the frames that were scored under this key and whose pictures are all there."""
         path = self.renders / "scores.jsonl"
         scores = {}
-        for text in path.read_text().splitlines() if path.exists() else []:
+        for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
             try:
                 line = json.loads(text)
                 if line["key"] == self.key:
@@ -249,7 +249,7 @@ class _Scorer:
         path = self.renders / "scores.jsonl"
         cut_off = path.exists() and path.read_bytes()[-1:] not in (b"", b"\n")
         line = json.dumps({"key": self.key, **asdict(score)}) + "\n"
-        with path.open("a") as file:
+        with path.open("a", encoding="utf-8") as file:
             file.write("\n" + line if cut_off else line)
 
 

@@ -204,7 +204,7 @@ def open_run(folder: Path) -> Run:
     """
     path = folder / "config.json"
     try:
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_text(encoding="utf-8"))
         if record.pop("format") != FORMAT:
             raise DataError(f"{path}: a run of another format: train again")
         return Run(folder, restore(RunConfig, record))

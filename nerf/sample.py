@@ -19,10 +19,12 @@ from nerf.occupancy import Occupancy
 from nerf.space import Space
 from nerf.twin import space as twin
 from nerf.types import Course, Histogram, Key, Rays, Samples
-from priors.errors import expect
+from priors.errors import expect, expect_between
 
 _SHIFTS, _UNGUIDED = 1, 2
 """Which stream of random numbers a key opens; stream 0 draws the rays."""
+MOST_SAMPLES = 1 << 14
+"""Of a ray."""
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,9 @@ class SamplerConfig:
     """Prior values of less confidence than this carve and guide nothing; the losses weigh them as they do all."""
 
     def __post_init__(self) -> None:
-        expect(self.count >= 2, "--count", self.count, "2 samples or more")
-        expect(self.free >= 1, "--free", self.free, "1 candidate or more")
-        expect(self.render >= 1, "--render", self.render, "1 candidate or more")
+        expect_between(2, self.count, MOST_SAMPLES, "--count")
+        expect_between(1, self.free, MOST_SAMPLES, "--free")
+        expect_between(1, self.render, MOST_SAMPLES, "--render")
         expect(0 < self.reach < np.inf, "--reach", self.reach, "more than 0, a share of the depth")
         expect(0 <= self.unguided <= 1, "--unguided", self.unguided, "a share from 0 to 1")
         expect(0 <= self.trust <= 1, "--trust", self.trust, "a confidence from 0 to 1")

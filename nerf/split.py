@@ -1,9 +1,15 @@
 """Train-test split: the study's rule, on positions in the drive."""
 
-from priors.errors import DataError
+from priors.errors import DataError, expect
 
 EVERY_HELD_OUT = 10
 SPARSE_STEP = 4
+
+
+def check_views(views: str) -> None:
+    """Raise UsageError where a text names no training views: dense, sparse or a number from 1 on."""
+    number = views.isdecimal() and int(views) >= 1
+    expect(number or views in ("dense", "sparse"), "--views", views or "''", "dense, sparse or a number from 1 on")
 
 
 def split(count: int, views: str) -> tuple[list[int], list[int]]:
@@ -26,7 +32,8 @@ def split(count: int, views: str) -> tuple[list[int], list[int]]:
         return rest, held_out
     if views == "sparse":
         return rest[::SPARSE_STEP], held_out
-    if not views.isdigit() or not 1 <= int(views) <= len(rest):
+    check_views(views)
+    if int(views) > len(rest):
         raise DataError(f"--views {views}: expected dense, sparse or a number from 1 to {len(rest)}")
     wanted = int(views)
     return [rest[(2 * i + 1) * len(rest) // (2 * wanted)] for i in range(wanted)], held_out

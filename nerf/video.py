@@ -11,7 +11,7 @@ from eval.image import as_uint8
 from nerf.types import Render
 from priors.draw.colours import colour_depth
 from priors.draw.mp4 import write_mp4
-from priors.errors import DataError
+from priors.errors import expect, expect_between
 from priors.types import Camera, Image
 
 Poses = npt.NDArray[np.float64]
@@ -27,8 +27,8 @@ class VideoConfig:
     """Pictures a second: 20 with 2 steps is the speed of a drive of 10 Hz."""
 
     def __post_init__(self) -> None:
-        if self.steps < 1 or not self.fps > 0:
-            raise DataError(f"video: {self.steps} steps at {self.fps} fps, expected 1 or more and above 0")
+        expect_between(1, self.steps, 1000, "--steps")
+        expect(0 < self.fps <= 1000, "--fps", self.fps, "pictures a second, above 0 and at most 1000")
 
 
 def interpolate(T_world_cam: Poses, steps: int) -> Poses:

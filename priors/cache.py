@@ -93,7 +93,7 @@ class Prior:
             codecs.write_confidence_png(self.confidence_path(frame_id), depth.confidence)
         too_far = codecs.write_depth_png(self.depth_path(frame_id), depth.depth_m)
         line = {"id": frame_id, "seconds": round(seconds, 4), **describe(depth), "too_far": too_far}
-        with (self.folder / "frames.jsonl").open("a") as file:
+        with (self.folder / "frames.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
         return line
 
@@ -105,7 +105,7 @@ class Prior:
         """Return frames.jsonl by frame id: the newest line of each; a line cut off by a kill is left out."""
         path = self.folder / "frames.jsonl"
         found = {}
-        for text in path.read_text().splitlines() if path.exists() else []:
+        for text in path.read_text(encoding="utf-8").splitlines() if path.exists() else []:
             try:
                 line = json.loads(text)
                 found[line["id"]] = line
@@ -140,7 +140,7 @@ def load(folder: Path) -> Prior:
     """Open a prior's folder; DataError where its manifest is missing, damaged or of another format."""
     path = folder / "manifest.json"
     try:
-        manifest = json.loads(path.read_text())
+        manifest = json.loads(path.read_text(encoding="utf-8"))
         found = manifest["format"]
         manifest["method"], manifest["drive"]["name"], manifest["key"]
     except FileNotFoundError as error:

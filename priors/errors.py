@@ -5,6 +5,9 @@ from typing import Literal, get_args, get_origin
 
 from eval.errors import DataError as DataError
 
+LARGEST_SEED = 2**63 - 1
+"""Seeds are whole numbers from 0 to this."""
+
 
 class UsageError(DataError):
     """A command that was called wrongly; the command line exits 2."""
@@ -23,6 +26,15 @@ def expect(holds: bool, flag: str, value: object, wanted: str) -> None:
     """
     if not holds:
         raise (UsageError if flag.startswith("--") else DataError)(f"{flag} {value}: expected {wanted}")
+
+
+def expect_between(least: int, value: int | None, most: int, flag: str) -> None:
+    """Raise as `expect` does unless a whole number lies between two others, both included; None is no number.
+
+    The largest is far beyond what is of use: with it a slip of the keys (a date, a pasted number) is told at once, and
+    does not fill the memory.
+    """
+    expect(value is None or least <= value <= most, flag, value, f"a whole number from {least} to {most}")
 
 
 def expect_choices(config: object, prefix: str) -> None:

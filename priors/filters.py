@@ -13,7 +13,7 @@ from typing import Any, Literal, Protocol
 
 import numpy as np
 
-from priors.errors import DataError, expect, expect_choices
+from priors.errors import LARGEST_SEED, DataError, expect, expect_between, expect_choices
 from priors.geometry import convert_disparity
 from priors.pairs.matching import quick_match
 from priors.pairs.read import read_pair
@@ -248,7 +248,7 @@ class Filters:
         for flag in ("--keep", "--density"):
             expect(shares[flag] != 0, flag, 0, "more than 0: nothing would be left")
         expect(self.clip != 0, "--clip", 0, "more than 0 m: nothing would be left")
-        expect(self.density_seed >= 0, "--density-seed", self.density_seed, "0 or more")
+        expect_between(0, self.density_seed, LARGEST_SEED, "--density-seed")
         for flag, most in {"--clip": self.clip, "--left-right": self.left_right}.items():
             expect(most is None or most >= 0, flag, most, "a number, 0 or more")
 

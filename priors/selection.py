@@ -44,10 +44,12 @@ def parse_range(frames: str | None, flag: str = "--frames") -> tuple[int, int]:
         return 0, LARGEST_FRAME_NUMBER
     first, colon, last = frames.partition(":")
     try:
-        low = int(first) if first else 0
-        return low, (int(last) if last else LARGEST_FRAME_NUMBER) if colon else low + 1
+        low = int(first) if first or not colon else 0
+        high = (int(last) if last else LARGEST_FRAME_NUMBER) if colon else low + 1
     except ValueError as error:
-        raise UsageError(f"{flag} {frames}: expected a:b, for example 5:17") from error
+        raise UsageError(f"{flag} {frames or repr(frames)}: expected a:b, for example 5:17") from error
+    expect(0 <= low < high, flag, frames, "a:b with a below b, both 0 or more: b itself is not taken")
+    return low, high
 
 
 def select(ids: Sequence[str], frames: str | None) -> list[int]:
@@ -75,15 +77,15 @@ def _numbers(ids: Sequence[str]) -> list[int]:
     return [int(id_) for id_ in ids] if numeric else list(range(len(ids)))
 
 
-def parse_shard(text: str | None) -> tuple[int, int]:
+def parse_shard(text: str | None, flag: str = "--shard") -> tuple[int, int]:
     """Return i and n of a shard i/n; 1 and 1 for None. DataError where it is none."""
     if text is None:
         return 1, 1
     try:
         part, count = (int(word) for word in text.split("/"))
     except ValueError as error:
-        raise UsageError(f"--shard {text}: expected i/n, for example 1/4") from error
-    expect(1 <= part <= count, "--shard", text, "i/n with i from 1 to n")
+        raise UsageError(f"{flag} {text or repr(text)}: expected i/n, for example 1/4") from error
+    expect(1 <= part <= count, flag, text, "i/n with i from 1 to n")
     return part, count
 
 

@@ -106,13 +106,13 @@ def test_a_changed_flag_makes_another_folder(built: Path, street: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["show", "--every", 0], "--every 0: expected 1 or more"),
-        (["show", "--width", -5], "--width -5: expected 16 or more pixels"),
+        (["show", "--every", 0], "--every 0: expected a whole number from 1"),
+        (["show", "--width", -5], "--width -5: expected a whole number from 16"),
         (["show", "--frames", "a:b"], "--frames a:b: expected a:b, for example 5:17"),
         (["eval", "--metrics", "abs_rel", "magic"], "--metrics magic: expected some of density, "),
-        (["build", ".", "--method", "stereo", "--workers", 0], "--workers 0: expected 1 or more"),
+        (["build", ".", "--method", "stereo", "--workers", 0], "--workers 0: expected a whole number from 1"),
         (["build", ".", "--method", "mono", "--mono.hold-out", "x"], "--mono.hold-out x: expected start:stop:step"),
-        (["street", "other", "--seed", -1], "street: seed -1: expected 0 or more"),
+        (["street", "other", "--seed", -1], "--seed -1: expected a whole number from 0"),
     ],
     ids=lambda value: " ".join(map(str, value)) if isinstance(value, list) else "",
 )

@@ -10,11 +10,12 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 from rich.progress import Progress
 
 from cli.compiling import CompilingColumn, Watch
+from cli.terminal import Screen
 from priors.machine import notices
+from priors.machine.pruning import prune
 
 ROOT = Path(__file__).resolve().parents[1]
 SMALL = """
@@ -51,6 +52,25 @@ def run(
     environment = {name: value for name, value in given.items() if value is not None}
     command = [sys.executable, "-P", "-c", SMALL]
     return subprocess.run(command, env=environment, cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_kernels_of_earlier_sources_are_pruned(tmp_path: Path) -> None:
+    for days in range(8):
+        folder = tmp_path / f"avx2-{days:012x}"
+        (folder / "deep").mkdir(parents=True)
+        os.utime(folder, (time.time() - days * 3 * 86400,) * 2)
+    other = tmp_path / "notes"
+    other.mkdir()
+    os.utime(other, (0, 0))
+    prune(tmp_path)
+    left = sorted(path.name for path in tmp_path.iterdir())
+    assert left == [*(f"avx2-{days:012x}" for days in range(4)), "notes"], "the last four; two of them are old"
+    for days in range(4):
+        os.utime(tmp_path / f"avx2-{days:012x}")
+    (tmp_path / f"plain-{9:012x}").mkdir()
+    prune(tmp_path)
+    assert len(list(tmp_path.iterdir())) == 6, "five, all in use"
+    prune(tmp_path / "nowhere")
 
 
 def test_a_kernel_is_compiled_once_and_then_kept(tmp_path: Path) -> None:
@@ -120,10 +140,10 @@ def test_a_command_says_once_that_it_compiles_and_nothing_where_all_is_kept(tmp_
 
 
 @pytest.fixture
-def watched() -> Iterator[tuple[Watch, io.StringIO, Console]]:
+def watched() -> Iterator[tuple[Watch, io.StringIO, Screen]]:
     """A watch that is told what the test tells it, and what it prints on a terminal."""
     text = io.StringIO()
-    console = Console(file=text, force_terminal=True, width=200, color_system=None)
+    console = Screen(file=text, force_terminal=True, width=200, color_system=None)
     watch = Watch(console)
     before = list(notices.on_compile), list(notices.on_compiled)
     watch.install()
@@ -138,7 +158,7 @@ def tell(listeners: list, name: str) -> None:  # type: ignore[type-arg]
         listener(name)
 
 
-def test_nested_functions_count_and_are_one_burst(watched: tuple[Watch, io.StringIO, Console]) -> None:
+def test_nested_functions_count_and_are_one_burst(watched: tuple[Watch, io.StringIO, Screen]) -> None:
     watch, text, _ = watched
     tell(notices.on_compile, "outer")
     tell(notices.on_compile, "inner")
@@ -156,7 +176,7 @@ def test_nested_functions_count_and_are_one_burst(watched: tuple[Watch, io.Strin
     assert text.getvalue().count("for this CPU") == 1
 
 
-def test_a_bar_that_runs_shows_what_is_compiled(watched: tuple[Watch, io.StringIO, Console]) -> None:
+def test_a_bar_that_runs_shows_what_is_compiled(watched: tuple[Watch, io.StringIO, Screen]) -> None:
     watch, text, console = watched
     watch.bar_begins()
     with Progress(CompilingColumn(watch), console=console) as bar:
@@ -168,7 +188,7 @@ def test_a_bar_that_runs_shows_what_is_compiled(watched: tuple[Watch, io.StringI
     assert "compiling kernels: 0 done, 0 s" in text.getvalue()
 
 
-def test_a_bar_may_begin_while_something_is_compiled(watched: tuple[Watch, io.StringIO, Console]) -> None:
+def test_a_bar_may_begin_while_something_is_compiled(watched: tuple[Watch, io.StringIO, Screen]) -> None:
     watch, text, console = watched
     tell(notices.on_compile, "kernel")
     time.sleep(0.2)

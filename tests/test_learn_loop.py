@@ -165,7 +165,7 @@ def test_a_wrong_setting_is_one_line_of_the_command(tmp_path: Path) -> None:
     done = subprocess.run(command, capture_output=True, text=True)
     assert done.returncode != 0
     (line,) = done.stderr.strip().splitlines()
-    assert "--ema is 1.5" in line and "expected" in line
+    assert "--ema 1.5" in line and "expected" in line
 
 
 def test_a_run_remembers_what_it_started_from(tmp_path: Path) -> None:

@@ -98,7 +98,7 @@ def test_the_registry_holds_methods(name: str) -> None:
 
 
 WRONG: list[tuple[Callable[[], object], str]] = [
-    (lambda: Stereo(max_disparity_px=0), "--stereo.max-disparity-px 0: expected 1 or more"),
+    (lambda: Stereo(max_disparity_px=0), "--stereo.max-disparity-px 0: expected a whole number from 1"),
     (lambda: Stereo(model="magic"), "--stereo.model magic: expected one of classical, cfnet, pcwnet"),  # type: ignore[arg-type]
     (lambda: Stereo(runtime="gpu"), "--stereo.runtime gpu: expected one of auto"),  # type: ignore[arg-type]
     (lambda: Stereo(weights=Path("a.onnx")), "--stereo.weights a.onnx: which network"),
@@ -107,10 +107,10 @@ WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: Stereo(scale=0.98), "--stereo.scale 0.98: expected"),
     (lambda: Stereo(offset_px=(0,), scale=float("nan")), "--stereo.scale nan: expected"),
     (lambda: Completion(guidance=-1), "--completion.guidance -1: expected 0 or more"),
-    (lambda: Completion(reach_px=-1), "--completion.reach-px -1: expected 0 or more"),
+    (lambda: Completion(reach_px=-1), "--completion.reach-px -1: expected a whole number from 0"),
     (lambda: Completion(size="l"), "--completion.size l: expected one of s, m"),  # type: ignore[arg-type]
     (lambda: Completion(runtime="int8"), "--completion.runtime int8: expected one of auto"),  # type: ignore[arg-type]
-    (lambda: Lidar(sweeps=0), "--lidar.sweeps 0: expected 1 or more"),
+    (lambda: Lidar(sweeps=0), "--lidar.sweeps 0: expected a whole number from 1"),
     (lambda: Mono(adapt_s=0), "--mono.adapt-s 0: expected seconds"),
     (lambda: Mono(adapt="magic"), "--mono.adapt magic: expected one of none, lidar"),  # type: ignore[arg-type]
     (lambda: Mono(hold_out="1:2:0"), "--mono.hold-out 1:2:0: expected start:stop:step"),

@@ -42,6 +42,11 @@ def test_what_is_wrong_is_named(words: list[str], said: str) -> None:
     assert said in wrong(*words)
 
 
+@pytest.mark.parametrize("words", [["--stereo.model", ""], ["--stereo.model="], [""]])
+def test_an_empty_word_is_no_folder(words: list[str]) -> None:
+    assert "found nothing" in wrong(*words)
+
+
 def test_what_is_right_is_parsed() -> None:
     assert mistakes.parse(Outer, "priors x", "", ["--size_px", "4", "--stereo.no-fill"]) == Outer(4, Inner(fill=False))
 

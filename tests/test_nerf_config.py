@@ -76,7 +76,7 @@ def test_a_wrong_setting_is_told_with_what_was_expected(kind: type[Any], name: s
 def test_fit_refuses_it_in_one_line_before_the_drive_is_read(
     capsys: pytest.CaptureFixture[str], flags: list[str]
 ) -> None:
-    assert PROGRAM.run(["fit", "/nowhere", *flags]) == 1
+    assert PROGRAM.run(["fit", "/nowhere", *flags]) == 2
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 1
     assert told[0].startswith("error: ") and "expected" in told[0] and "nowhere" not in told[0]

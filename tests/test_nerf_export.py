@@ -182,7 +182,7 @@ def test_videos_that_cannot_be_written(tmp_path):
         write_video(tmp_path / "a.avi", wall, CAMERA, poses(0.0))
     with pytest.raises(DataError, match="no pictures"):
         write_video(tmp_path / "a.mp4", wall, CAMERA, poses())
-    with pytest.raises(DataError, match="expected 1 or more and above 0"):
+    with pytest.raises(DataError, match="--steps 0: expected a whole number from 1"):
         VideoConfig(steps=0)
     assert not list(tmp_path.iterdir())
 

@@ -96,7 +96,7 @@ def test_a_method_has_its_flags_and_is_scored(flat: Path) -> None:
     again = run("priors build flat/ --method road --road.height-m 1.5", flat, **{extensions.VARIABLE: "mine"})
     assert re.search(r"^ +0 +3 ", again.stdout, re.MULTILINE), again.stdout  # built, cached
     wrong = run("priors build flat/ --method road --road.height-m 0", flat, **{extensions.VARIABLE: "mine"})
-    assert wrong.returncode == 1
+    assert wrong.returncode == 2
     assert wrong.stderr.strip() == "error: --road.height-m 0.0: expected more than 0 m"
 
 

@@ -1,6 +1,7 @@
 """The shape of the code: functions that can be called without looking up what goes where."""
 
 import ast
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -53,3 +54,22 @@ def test_checks_are_not_assertions() -> None:
         if isinstance(node, ast.Assert)
     ]
     assert not left
+
+
+def test_names_are_taken_as_they_are() -> None:
+    """Files are UTF-8 in any locale; square brackets of a name are no pattern and no markup."""
+    wrong = {
+        "text without encoding": re.compile(r"\.read_text\(\)|\.write_text\((?!.*encoding)|\.open\(\"[wa]\"\)"),
+        "a pattern with a name in it that is not escaped": re.compile(
+            r"glob\(f\"(?![^\"]*escape\()[^\"]*\{(?!manifest)[a-z]"
+        ),
+        "markup": re.compile(r"\[/?bold|\[/\]|(out|err|console)\.file\.write\("),
+    }
+    found = [
+        f"{path.relative_to(ROOT)}:{number}: {what}"
+        for path in sources()
+        for number, line in enumerate(path.read_text().splitlines(), 1)
+        for what, pattern in wrong.items()
+        if pattern.search(line)
+    ]
+    assert not found

@@ -205,7 +205,7 @@ def test_bad_input_is_named() -> None:
     alone = frame(left, right, readers={"image": lambda: left}, missing={"other": "no image_03: download it"})
     with pytest.raises(DataError, match="frame 0: no image_03: download it"):
         IMAGES_ONLY(alone)
-    with pytest.raises(DataError, match="expected 1 or more"):
+    with pytest.raises(DataError, match="expected a whole number from 1"):
         Stereo(max_disparity_px=0)
 
 

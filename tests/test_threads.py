@@ -190,7 +190,7 @@ def test_commands_want_one_thread_or_more(command: list[str], capsys: pytest.Cap
 
     program = {"priors": priors.PROGRAM, "nerf": nerf.PROGRAM}[command[0]]
     assert program.run([*command[1:], "--threads", "0"]) == 2
-    assert capsys.readouterr().err.strip() == "error: --threads 0: expected 1 or more"
+    assert capsys.readouterr().err.strip() == "error: --threads 0: expected a whole number from 1 to 1024"
 
 
 def test_a_command_uses_as_many_threads_as_it_is_told(

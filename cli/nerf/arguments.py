@@ -9,6 +9,7 @@ import tyro
 from cli.arguments import Device, ThreadArguments
 from cli.console import progress
 from nerf.run import Run, moved, open_run
+from priors.selection import parse_range
 
 
 @dataclass(frozen=True)
@@ -21,9 +22,12 @@ class RunArguments(ThreadArguments):
     """Range of frames, a:b; default: the run's."""
     device: Device = "auto"
     """Where to render; auto: a GPU where there is one."""
-
     data: Path | None = None
     """Where the run's drive is now, if it has moved."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        parse_range(self.frames)
 
     def open(self) -> Run:
         """Open the run."""

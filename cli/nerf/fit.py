@@ -16,7 +16,7 @@ from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.run import begin
 from nerf.sample import SamplerConfig
-from priors.errors import UsageError
+from priors.errors import UsageError, expect
 from priors.filters import Filters
 
 EXAMPLES = """Train a field on a drive and score its held-out views (every 10th frame). Runs resume where they stopped.
@@ -29,6 +29,7 @@ examples:
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --field mip360 --steps 3000 --run runs/mip
 """
 UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
+MOST_S = 365 * 24 * 3600.0
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
     FieldName = str
@@ -68,6 +69,14 @@ class FitArguments(ThreadArguments, DriveArguments):
     field: FieldName = "ngp"
     """Family of fields."""
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.config(), self.scene()
+
+    def scene(self) -> SceneConfig:
+        """Return which frames are used, and what of the prior."""
+        return SceneConfig(self.views, self.frames, self.filters)
+
     def config(self) -> FitConfig:
         """Return what decides the fit's outcome."""
         timed = None if self.steps is not None else seconds(self.time)
@@ -83,7 +92,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _fit(args: FitArguments, typed: list[str]) -> int:
-    config, scene = args.config(), SceneConfig(args.views, args.frames, args.filters)
+    config, scene = args.config(), args.scene()
     drive, prior = open_sources(args, args.prior, typed)
     this_run = begin(drive, prior, scene, config, args.run, progress)
     if len(this_run.scene.train) == 1:
@@ -105,9 +114,8 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
 def seconds(text: str) -> float:
     """Turn 90s, 5m or 1h into seconds."""
     try:
-        value = float(text.rstrip("smh")) * UNITS_S[text[-1:] if text[-1:] in UNITS_S else "s"]
+        value = float(text[:-1]) * UNITS_S[text[-1]] if text[-1:] in UNITS_S else float(text)
     except ValueError as error:
-        raise UsageError(f"--time {text}: expected a number and s, m or h, for example 60s") from error
-    if not value > 0:
-        raise UsageError(f"--time {text}: expected more than 0")
+        raise UsageError(f"--time {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
+    expect(0 < value <= MOST_S, "--time", text, "more than 0, and less than a year")
     return value

@@ -16,8 +16,12 @@ from eval import typeset
 from nerf import study_table
 from nerf.config import FitConfig
 from nerf.losses import LossConfig
+from nerf.split import check_views
 from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, run_study
 from priors import cache
+from priors.errors import LARGEST_SEED, expect_between
+from priors.filters import Filters
+from priors.selection import parse_range
 
 EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table.
 Runs that are done are not made again; with another --time or --steps they are begun anew.
@@ -67,6 +71,23 @@ class StudyArguments(ThreadArguments, DriveArguments):
     """The study's folder."""
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = made_by(default_factory=LpipsArguments)
 
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.fit()
+        parse_range(self.frames)
+        for views in self.views:
+            check_views(views)
+        for seed in self.seed:
+            expect_between(0, seed, LARGEST_SEED, "--seed")
+        for name in SHARES:
+            for value in vars(self)[name]:
+                Filters(**{name: value})
+
+    def fit(self) -> FitConfig:
+        """Return what all fits have in common."""
+        timed = None if self.steps is not None else seconds(self.time)
+        return FitConfig(losses=self.losses, steps=self.steps, seconds=timed)
+
     def grid(self) -> Study:
         """Return the grid that was asked for."""
         folders = [
@@ -95,15 +116,13 @@ def run(arguments: list[str]) -> int:
 
 
 def _make(args: StudyArguments, command: str) -> int:
-    timed = None if args.steps is not None else seconds(args.time)
-    fit = FitConfig(losses=args.losses, steps=args.steps, seconds=timed)
     drive, grid = args.open(["nerf", "study"]), args.grid()
 
     def command_of(spec: RunSpec, folder: Path) -> str:
         return _command(args, spec, folder)
 
     lpips = args.lpips.open()
-    runner = FitRunner(drive, fit, args.frames, args.device, lpips, progress, fit_progress, command_of)
+    runner = FitRunner(drive, args.fit(), args.frames, args.device, lpips, progress, fit_progress, command_of)
     outcomes = run_study(grid, args.out, runner, runner.settings, _tell)
     laid = study_table.lay_out(outcomes)
     out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))

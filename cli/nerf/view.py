@@ -9,9 +9,8 @@ from cli.nerf.arguments import RunArguments
 from cli.view import AddressArguments
 from nerf.view.panel import FieldPanel
 from nerf.view.stage import open_stage
-from priors.errors import expect
+from priors.errors import expect_between
 from priors.geometry import resize
-from priors.selection import parse_range
 from priors.view import server
 from priors.view.scene import MOST_POINTS
 from priors.view.stand import first_pose
@@ -37,8 +36,7 @@ class ViewArguments(AddressArguments, RunArguments):
     def __post_init__(self) -> None:
         AddressArguments.__post_init__(self)
         RunArguments.__post_init__(self)
-        parse_range(self.frames)
-        expect(self.points >= 1, "--points", self.points, "1 or more")
+        expect_between(1, self.points, 10**8, "--points")
 
 
 def run(arguments: list[str]) -> int:

@@ -15,8 +15,9 @@ from cli.console import DATA_ERROR, err, out, progress
 from priors import build, methods
 from priors.advice import advise_method
 from priors.build import BuildReport, Job, Plan
-from priors.errors import DataError, UsageError, expect
+from priors.errors import DataError, UsageError, expect_between
 from priors.filters import Filters
+from priors.machine.threads import MOST_THREADS
 from priors.selection import Selection, select
 from priors.types import Drive, Method
 
@@ -52,7 +53,7 @@ class BuildArguments(ThreadArguments, DriveArguments):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        expect(self.workers >= 1, "--workers", self.workers, "1 or more")
+        expect_between(1, self.workers, MOST_THREADS, "--workers")
 
     def settings(self, method: str) -> Method:
         """Return a method's settings; a subclass has a field for each method."""

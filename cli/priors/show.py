@@ -12,9 +12,9 @@ from cli.console import out, progress
 from priors import cache, codecs
 from priors.cache import Prior
 from priors.draw.comparison import compare
-from priors.errors import DataError, expect
+from priors.errors import DataError, expect_between
 from priors.naming import labels
-from priors.selection import parse_range, select
+from priors.selection import LARGEST_FRAME_NUMBER, parse_range, select
 
 EXAMPLES = """Write pictures: image and truth on top, then a row a prior - depth, error against the truth, confidence.
 
@@ -45,8 +45,8 @@ class ShowArguments:
 
     def __post_init__(self) -> None:
         parse_range(self.frames)
-        expect(self.every >= 1, "--every", self.every, "1 or more")
-        expect(self.width >= 16, "--width", self.width, "16 or more pixels")
+        expect_between(1, self.every, LARGEST_FRAME_NUMBER, "--every")
+        expect_between(16, self.width, 16384, "--width")
 
 
 def run(arguments: list[str]) -> int:

@@ -9,7 +9,8 @@ import tyro
 
 from cli.arguments import parse
 from cli.console import out, progress
-from priors.errors import DataError
+from priors.errors import LARGEST_SEED, UsageError, expect, expect_between
+from priors.machine.threads import MOST_THREADS
 from priors.street.write import write_street
 
 EXAMPLES = """Write the embedded street as a KITTI raw drive: stereo pairs, LiDAR, poses, exact depth and sky.
@@ -19,6 +20,7 @@ examples:
   priors street street/ --frames 40 --seed 7 --size 1242x375
   priors street small/ --frames 10 --size 320x96
 """
+LARGEST_SIDE_PX = 16384
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,12 @@ class StreetArguments:
     workers: int = os.cpu_count() or 1
     """Frames rendered at the same time."""
 
+    def __post_init__(self) -> None:
+        expect_between(1, self.frames, 100_000, "--frames")
+        expect_between(0, self.seed, LARGEST_SEED, "--seed")
+        expect_between(1, self.workers, MOST_THREADS, "--workers")
+        _size(self.size)
+
 
 def run(arguments: list[str]) -> int:
     """Write the street; returns the exit code."""
@@ -51,7 +59,7 @@ def _size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(word) for word in text.lower().split("x"))
     except ValueError as error:
-        raise DataError(f"--size {text}: expected WIDTHxHEIGHT, for example 1242x375") from error
-    if width < 16 or height < 16:
-        raise DataError(f"--size {text}: the smallest image is 16x16")
+        raise UsageError(f"--size {text or repr(text)}: expected WIDTHxHEIGHT, for example 1242x375") from error
+    fits = 16 <= width <= LARGEST_SIDE_PX and 16 <= height <= LARGEST_SIDE_PX
+    expect(fits, "--size", text, f"sides from 16 to {LARGEST_SIDE_PX} pixels")
     return height, width

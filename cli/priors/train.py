@@ -9,9 +9,10 @@ import tyro
 
 from cli.arguments import Device, parse
 from cli.console import err, out, progress, train_progress
-from priors.errors import DataError
+from priors.errors import DataError, expect_between
 from priors.learn.config import TrainConfig
 from priors.machine.device import pick_device
+from priors.selection import parse_shard
 
 if TYPE_CHECKING:
     from priors.learn.training_run import Task
@@ -41,6 +42,10 @@ class SamplesArguments:
     part: str = "1/1"
     """i/n: the i-th of n machines' share."""
 
+    def __post_init__(self) -> None:
+        expect_between(1, self.count, 10**7, "--count")
+        parse_shard(self.part, "--part")
+
 
 @dataclass(frozen=True)
 class RunArguments:
@@ -62,6 +67,9 @@ class RunArguments:
     """Weights to start from: those of the tensors that this network has too. A stereo network's stages then all learn
     from the first step; mono does without ImageNet's."""
     how: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
+
+    def __post_init__(self) -> None:
+        expect_between(1, self.batch, 4096, "--batch")
 
 
 @dataclass(frozen=True)
@@ -102,21 +110,13 @@ class CalibrateArguments:
 
 def run(arguments: list[str]) -> int:
     """Train; returns the exit code."""
-    kinds: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
-        "samples": (SamplesArguments, render_samples),
-        "stereo": (StereoArguments, lambda args: train_network(args, stereo_task(args), args.net)),
-        "completion": (RunArguments, lambda args: train_network(args, completion_task(args), "mffnet")),
-        "mono": (RunArguments, lambda args: train_network(args, mono_task(args), "bts")),
-        "pack": (PackArguments, pack),
-        "calibrate": (CalibrateArguments, calibrate),
-    }
     if not arguments or arguments[0] in ("-h", "--help"):
         out.print(EXAMPLES)
         return 0
     name, rest = arguments[0], arguments[1:]
-    if name not in kinds:
-        raise DataError(f"priors train {name}: expected one of {', '.join(kinds)}")
-    kind, command = kinds[name]
+    if name not in KINDS:
+        raise DataError(f"priors train {name}: expected one of {', '.join(KINDS)}")
+    kind, command = KINDS[name]
     command(parse(kind, f"priors train {name}", EXAMPLES, rest))
     return 0
 
@@ -197,3 +197,14 @@ def calibrate(args: CalibrateArguments) -> None:
 
     for line in calibrate_file(args.file, Folders(args.street, args.real, args.cache)):
         out.print(line)
+
+
+KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
+    "samples": (SamplesArguments, render_samples),
+    "stereo": (StereoArguments, lambda args: train_network(args, stereo_task(args), args.net)),
+    "completion": (RunArguments, lambda args: train_network(args, completion_task(args), "mffnet")),
+    "mono": (RunArguments, lambda args: train_network(args, mono_task(args), "bts")),
+    "pack": (PackArguments, pack),
+    "calibrate": (CalibrateArguments, calibrate),
+}
+"""What follows `priors train`: its arguments and what it does."""

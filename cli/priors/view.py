@@ -12,7 +12,7 @@ from cli.view import AddressArguments
 from priors import cache
 from priors.cache import Prior
 from priors.drives import DriveOptions
-from priors.errors import DataError, UsageError, expect
+from priors.errors import DataError, UsageError, expect_between
 from priors.naming import labels
 from priors.selection import parse_range, select
 from priors.view import server
@@ -51,7 +51,7 @@ class ViewArguments(AddressArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         parse_range(self.frames)
-        expect(self.points >= 1, "--points", self.points, "1 or more")
+        expect_between(1, self.points, 10**8, "--points")
 
     def scene(self, typed: list[str]) -> DriveScene:
         """Open what there is to see; `typed`, the command, is repeated where there are several drives."""

@@ -87,7 +87,7 @@ def _without_drive(run: Run, reason: str) -> Stage:
     if len(records) != 1:
         return _start(reason)
     try:
-        record = json.loads(records[0].read_text())
+        record = json.loads(records[0].read_text(encoding="utf-8"))
         poses = [np.array(pose, dtype=np.float64).reshape(4, 4) for pose in record["T_world_cam"]]
         camera = Camera(np.array(record["K"], dtype=np.float64).reshape(3, 3), tuple(record["size"]))
         ids = [str(id_) for id_ in record["ids"]]

@@ -20,7 +20,12 @@ Quirks kept here (those of the calibration in _argoverse1_calibration.py):
 
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
+<<<<<<< HEAD
 from functools import cached_property, partial
+=======
+from functools import partial
+from glob import escape
+>>>>>>> main
 from pathlib import Path
 
 import numpy as np
@@ -184,7 +189,7 @@ class Argoverse1(CameraDrive):
                 return home
         for home in self._homes:
             for above in list(home.parents)[1:4]:
-                logs = sorted(above.glob(f"argoverse-tracking/*/{home.name}"))
+                logs = sorted(above.glob(f"argoverse-tracking/*/{escape(home.name)}"))
                 if logs:
                     return logs[0]
         return self.folder

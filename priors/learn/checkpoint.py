@@ -47,7 +47,7 @@ def write_record(out: Path, record: dict[str, Any]) -> None:
 def about_run(out: Path) -> dict[str, str | None]:
     """Return what a run's record says of its network; nothing where there is no run yet."""
     try:
-        about: dict[str, str | None] = json.loads((out / RECORD).read_text())["about"]
+        about: dict[str, str | None] = json.loads((out / RECORD).read_text(encoding="utf-8"))["about"]
     except (OSError, ValueError, KeyError):
         return {}
     return about
@@ -59,7 +59,7 @@ def pack_run(run: Path, out: Path) -> None:
     Its header says what it is and what made it.
     """
     try:
-        record = json.loads((run / RECORD).read_text())
+        record = json.loads((run / RECORD).read_text(encoding="utf-8"))
         tensors = load_file(run / BEST)
     except (OSError, ValueError) as error:
         raise DataError(f"{run}: no validated weights in it: train until the first validation, or longer") from error

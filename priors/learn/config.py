@@ -3,7 +3,10 @@
 import math
 from dataclasses import dataclass
 
-from priors.errors import DataError
+from priors.errors import LARGEST_SEED, expect, expect_between
+from priors.machine.threads import MOST_THREADS
+
+MOST_STEPS = 10**9
 
 
 @dataclass(frozen=True)
@@ -35,16 +38,16 @@ class TrainConfig:
 
     def __post_init__(self) -> None:
         for name in ("minutes", "lr", "clip"):
-            if not 0 < getattr(self, name) < math.inf:
-                raise self._wrong(name, "a finite number above 0")
-        for name in ("weight_decay", "save_s", "warm_up", "seed"):
-            if not getattr(self, name) >= 0:
-                raise self._wrong(name, "0 or more")
-        for name in ("validate_every", "steps", "threads"):
-            if getattr(self, name) is not None and getattr(self, name) < 1:
-                raise self._wrong(name, "1 or more")
-        if not 0 <= self.ema < 1:
-            raise self._wrong("ema", "0 or more, and less than 1")
+            expect(0 < getattr(self, name) < math.inf, _flag(name), getattr(self, name), "a finite number above 0")
+        for name in ("weight_decay", "save_s"):
+            expect(0 <= getattr(self, name) < math.inf, _flag(name), getattr(self, name), "a finite number, 0 or more")
+        for name in ("validate_every", "steps"):
+            expect_between(1, getattr(self, name), MOST_STEPS, _flag(name))
+        expect_between(0, self.warm_up, MOST_STEPS, "--warm-up")
+        expect_between(0, self.seed, LARGEST_SEED, "--seed")
+        expect_between(1, self.threads, MOST_THREADS, "--threads")
+        expect(0 <= self.ema < 1, "--ema", self.ema, "0 or more, and less than 1")
 
-    def _wrong(self, name: str, expected: str) -> DataError:
-        return DataError(f"training: --{name.replace('_', '-')} is {getattr(self, name)}, expected {expected}")
+
+def _flag(name: str) -> str:
+    return f"--{name.replace('_', '-')}"

@@ -1,5 +1,6 @@
 """A teacher's disparity maps of real pairs: found, read, and freed of the calibration that the teacher has learned."""
 
+from glob import escape
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ EVERY, FEWEST = 11, 500
 
 def find_map(teacher: Path | None, name: str) -> Path | None:
     """Find a teacher's map of a view, whatever precedes its name."""
-    return None if teacher is None else min(teacher.glob(f"*{name}.npy"), default=None)
+    return None if teacher is None else min(teacher.glob(f"*{escape(name)}.npy"), default=None)
 
 
 def is_fresh(path: Path, map_: Path | None) -> bool:

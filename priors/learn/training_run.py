@@ -173,7 +173,7 @@ class TrainingRun:
 
     def _log(self, line: dict[str, Any]) -> None:
         self.out.mkdir(parents=True, exist_ok=True)
-        with (self.out / "log.jsonl").open("a") as file:
+        with (self.out / "log.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
 
 

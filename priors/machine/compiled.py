@@ -12,6 +12,7 @@ import hashlib
 import os
 import sys
 import tempfile
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, NullCache,
 
 from priors.machine.cpu import mode
 from priors.machine.notices import on_compile, on_compiled
+from priors.machine.pruning import mark_used, prune
 
 FAST = {"reassoc", "contract", "nsz", "arcp"}
 """Floating-point freedoms of most kernels; neither nnan nor ninf: an overflow must stay visible."""
@@ -48,12 +50,16 @@ def _folder() -> Path | None:
     for place in _places():
         folder = place / name
         try:
+            new = not folder.exists()
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
             tempfile.TemporaryFile(dir=folder).close()
         except OSError:
             continue
         # What lies there is run: a folder that somebody else made under /tmp is not trusted.
         if not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid():
+            mark_used(folder)
+            if new:
+                prune(place)
             return folder
     return None
 
@@ -61,7 +67,10 @@ def _folder() -> Path | None:
 def _places() -> list[Path]:
     if "ROADPRIOR_CACHE" in os.environ:
         return [Path(os.environ["ROADPRIOR_CACHE"])]
-    places = [Path(tempfile.gettempdir()) / f"roadprior-kernels-{os.getuid() if hasattr(os, 'getuid') else ''}"]
+    places = []
+    with suppress(OSError):  # no temporary folder can be written either
+        user = os.getuid() if hasattr(os, "getuid") else ""
+        places.append(Path(tempfile.gettempdir()) / f"roadprior-kernels-{user}")
     home = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
     try:
         return [(Path(home) if home else Path.home() / ".cache") / "roadprior" / "kernels", *places]
@@ -98,7 +107,8 @@ class _Locator(_CacheLocator):  # type: ignore[misc]
         return f"{Path(self._py_file).parent.parent.name}-{self._line}"
 
     def ensure_cache_path(self) -> None:
-        """It is there, see `_folder`."""
+        """Make it again where somebody deleted it meanwhile."""
+        Path(self.get_cache_path()).mkdir(mode=0o700, parents=True, exist_ok=True)
 
     @classmethod
     def from_function(cls, py_func: Any, py_file: str) -> "_Locator":
@@ -124,7 +134,8 @@ class _Cache(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep what was compiled, and say that it is."""
-        super().save_overload(sig, data)
+        with suppress(OSError):  # a full disk: it is compiled again next time
+            super().save_overload(sig, data)
         for tell in on_compiled:
             tell(self._py_func.__name__)
 

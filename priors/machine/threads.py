@@ -41,10 +41,14 @@ def available() -> int:
     return os.cpu_count() or 1
 
 
+MOST_THREADS = 1024
+"""More are a slip of the keys: no machine that this is for has so many cores."""
+
+
 def usual() -> int:
     """Return how many threads a command uses that is not told: OMP_NUM_THREADS, else every core it may use."""
     told = os.environ.get(OPENMP, "")
-    return int(told) if told.isdigit() and int(told) else available()
+    return min(int(told), MOST_THREADS) if told.isdecimal() and int(told) else available()
 
 
 def count() -> int:

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal, Self
 
-from priors.errors import DataError, expect, expect_choices
+from priors.errors import DataError, expect, expect_between, expect_choices
 from priors.machine import threads
 from priors.methods._completion_classical import EVERYWHERE_PX, clean_map, inverse_limits, list_samples, near_samples
 from priors.methods._completion_classical import complete as complete
@@ -12,6 +12,9 @@ from priors.methods._network import Network
 from priors.methods.lidar import Lidar
 from priors.sky import doubt, sky_mask
 from priors.types import Camera, Depth, FloatMap, Frame, Image, Input, Matrix, Method
+
+FARTHEST_PX = 1 << 16
+"""No image is that large: every pixel is reached."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Completion(Method):
     def __post_init__(self) -> None:
         expect_choices(self, "completion.")
         expect(0 <= self.guidance < float("inf"), "--completion.guidance", self.guidance, "0 or more")
-        expect(self.reach_px >= 0, "--completion.reach-px", self.reach_px, "0 or more pixels")
+        expect_between(0, self.reach_px, FARTHEST_PX, "--completion.reach-px")
         if self.model == "classical" and self.weights is not None:
             raise DataError(f"--completion.weights {self.weights}: of a network: ask for it by --completion.model")
 

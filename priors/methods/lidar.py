@@ -16,7 +16,7 @@ from typing import ClassVar, Self
 import cv2
 import numpy as np
 
-from priors.errors import DataError, expect
+from priors.errors import DataError, expect_between
 from priors.geometry import invert
 from priors.machine import threads
 from priors.pairs.matching import quick_match
@@ -34,6 +34,7 @@ STEREO_SLACK_PX, STEREO_SLACK = 1.0, 0.05  # px at full size plus a share of the
 STEREO_FOCAL_PX = 721.0  # the slack's pixels are those of KITTI's cameras
 SEARCH_MARGIN_PX = 4  # beyond the disparities that the LiDAR saw
 NO_SOURCE = np.int16(32767)
+MOST_SWEEPS = 10_001  # 17 minutes at 10 Hz
 FEW = 10  # frames in which poses are looked for
 
 
@@ -56,7 +57,7 @@ class Lidar(Method):
     VERSION: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
-        expect(self.sweeps >= 1, "--lidar.sweeps", self.sweeps, "1 or more")
+        expect_between(1, self.sweeps, MOST_SWEEPS, "--lidar.sweeps")
 
     @property
     def reads(self) -> tuple[Input, ...]:

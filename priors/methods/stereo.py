@@ -7,7 +7,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from priors.codecs import FARTHEST_M
-from priors.errors import DataError, expect, expect_choices
+from priors.errors import DataError, expect, expect_between, expect_choices
 from priors.machine import threads
 from priors.methods import _stereo_classical as classical
 from priors.methods._network import Network
@@ -19,6 +19,8 @@ from priors.types import Depth, FloatMap, Frame, Image, Input, Method
 
 CALIBRATING_CONFIDENCE = 0.9
 """Confidence of a network's pixels that the rectification error is measured on."""
+LARGEST_DISPARITY_PX = 1 << 16
+"""No image is that wide; each pair's own width bounds the search further."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +53,7 @@ class Stereo(Method):
 
     def __post_init__(self) -> None:
         expect_choices(self, "stereo.")
-        if self.max_disparity_px is not None:
-            expect(self.max_disparity_px >= 1, "--stereo.max-disparity-px", self.max_disparity_px, "1 or more pixels")
+        expect_between(1, self.max_disparity_px, LARGEST_DISPARITY_PX, "--stereo.max-disparity-px")
         if self.model == "classical" and self.weights is not None:
             raise DataError(f"--stereo.weights {self.weights}: which network is it of? Name it by --stereo.model")
         given = self.offset_px or ()

@@ -124,7 +124,7 @@ def read(file: Path) -> dict[str, ActivationRange]:
     """Read the ranges of a file of weights; DataError where there are none or they are of other weights."""
     path = beside(file)
     try:
-        record = json.loads(path.read_text())
+        record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: no ranges for int8: make them with python -m priors.learn.int8_ranges") from error
     if record.get("weights") != weights.digest(file):

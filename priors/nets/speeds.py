@@ -26,7 +26,7 @@ OnCpu = Literal["bf16", "fp32", "int8", "onnx"]
 @cache
 def table() -> dict[str, Any]:
     """Return what was measured: machine, and for each mode and network the time of each runtime, in SGBM's times."""
-    measured: dict[str, Any] = json.loads(FILE.read_text())
+    measured: dict[str, Any] = json.loads(FILE.read_text(encoding="utf-8"))
     return measured
 
 

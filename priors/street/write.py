@@ -95,7 +95,7 @@ def _claim(drive: Path, wanted: dict[str, object]) -> None:
     path = drive / "street.json"
     if path.exists():
         try:
-            record = json.loads(path.read_text())
+            record = json.loads(path.read_text(encoding="utf-8"))
         except ValueError:
             record = None
         if record != wanted:
