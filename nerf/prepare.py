@@ -24,12 +24,8 @@ from nerf.stack import Stack, StackWriter
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
-<<<<<<< HEAD
 from priors.motion import trajectory
-from priors.selection import range_of, select
-=======
-from priors.selection import parse_range, select
->>>>>>> main
+from priors.selection import parse_range, range_of, select
 from priors.types import Camera, Depth, Drive
 
 ProgressBar: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[..., None]]]

@@ -20,12 +20,8 @@ Quirks kept here (those of the calibration in _argoverse1_calibration.py):
 
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-<<<<<<< HEAD
 from functools import cached_property, partial
-=======
-from functools import partial
 from glob import escape
->>>>>>> main
 from pathlib import Path
 
 import numpy as np
