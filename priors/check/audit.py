@@ -46,7 +46,10 @@ def check(drive: Drive, samples: int = SAMPLES, progress: ProgressBar = silent) 
     sampled = look(frames, samples, progress)
     findings += judge_calibration(frames[0])
     findings += judge_files(sampled)
-    findings += judge_stereo(sampled)
+    pairs = list(judge_stereo(sampled))
+    findings += pairs
+    for sample in sampled:
+        sample.trusts_stereo = all(finding.level != "fatal" for finding in pairs)
     findings += judge_poses(frames, sampled)
     findings += judge_times(frames)
     findings += judge_lidar(sampled)

@@ -91,13 +91,9 @@ class Misfit:
         return self.aside_deg < ASIDE_DEG and self.turned_deg < TURNED_DEG
 
 
-def judge_axes(seen: Sequence[Sample]) -> Generator[Finding, None, bool]:
+def judge_axes(sampled: Sequence[Sample]) -> Generator[Finding, None, bool]:
     """Compare poses with the motion that images show; returns whether there was enough to tell."""
-    posed = [
-        sample
-        for sample in seen
-        if sample.frame.T_world_cam is not None and sample.after is not None and sample.after.T_world_cam is not None
-    ]
+    posed = _posed(sampled)
     if len(posed) < FEWEST:
         return False
     by = next((sample.seen_motion.by for sample in posed if sample.seen_motion and sample.seen_motion.by), None)
@@ -131,6 +127,24 @@ def compare(posed: Sequence[Sample], reading: Reading) -> Misfit:
     logs = np.log(np.maximum(ratios, 1e-9)) if ratios else np.zeros(1)
     scatter = float(np.median(np.abs(logs - np.median(logs))))
     return Misfit(float(np.median(aside)), float(np.median(turned)), float(np.exp(np.median(logs))), scatter)
+
+
+def motion_ratio(sampled: Sequence[Sample], by: str) -> float | None:
+    """Return how many times as far the poses move as one source of depth sees; None where that is not known."""
+    posed = [sample for sample in _posed(sampled) if sample.seen_motion is not None and sample.seen_motion.by == by]
+    return compare(posed, _as_they_are).ratio if len(posed) >= FEWEST else None
+
+
+def _posed(sampled: Sequence[Sample]) -> list[Sample]:
+    """Return the samples whose frame and the frame after have poses, and whose images show the motion between."""
+    return [
+        sample
+        for sample in sampled
+        if sample.frame.T_world_cam is not None
+        and sample.after is not None
+        and sample.after.T_world_cam is not None
+        and sample.seen_motion is not None
+    ]
 
 
 def _name_axes(posed: Sequence[Sample], given: Misfit, eyes: str) -> str:
@@ -169,13 +183,16 @@ def judge_direction(path: Trajectory, *, pair: bool) -> Iterator[Finding]:
     steps_m = np.diff(path.T_world_rig[:, :3, 3], axis=0)[moves] / path.steps_m[moves, None]
     own = np.einsum("nji,nj->ni", path.T_world_rig[:-1, :3, :3][moves], steps_m)
     x, y, z = np.median(own, axis=0)
-    guess = "are they camera-to-world, in axes x right, y down, z forward"
+    guess = "are they inverted (world to camera)"
     if z < -0.7:
-        yield Finding("warning", "poses", f"the camera moves backwards: {guess}, or is it a rear camera?")
+        guess += ", or in OpenGL's axes (y up, z backward), or is it a rear camera?"
+        yield Finding("warning", "poses", f"the camera moves backwards: {guess}")
     elif abs(y) > 0.6 or np.linalg.norm(own.mean(axis=0)) < 0.6:
-        yield Finding("warning", "poses", f"the camera moves along none of its own axes: {guess}?")
+        guess += ", or in other axes than x right, y down, z forward?"
+        yield Finding("warning", "poses", f"the camera moves along none of its own axes: {guess}")
     elif pair and abs(x) > 0.8:
-        yield Finding("warning", "poses", f"the camera moves sideways: {guess}, or does it look to the side?")
+        guess += ", or of axes with x forward, y left, z up, or does it look to the side?"
+        yield Finding("warning", "poses", f"the camera moves sideways: {guess}")
 
 
 def _angle(one: Matrix, other: Matrix) -> float:

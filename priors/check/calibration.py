@@ -7,6 +7,9 @@ import numpy as np
 from priors.check.finding import Finding
 from priors.types import Frame
 
+BASELINE_M = (0.05, 3.0)
+"""Of a car's pair, at least and at most."""
+
 
 def judge_calibration(frame: Frame) -> Iterator[Finding]:
     """Judge focal length, principal point and baseline."""
@@ -22,6 +25,11 @@ def judge_calibration(frame: Frame) -> Iterator[Finding]:
     else:
         yield Finding("ok", "calibration", shown)
     if frame.baseline_m is not None:
-        usual = 0.05 <= frame.baseline_m <= 3
+        usual = is_usual_baseline(frame)
         text = f"baseline {frame.baseline_m:.3f} m, this is the {frame.side} camera"
         yield Finding("ok" if usual else "warning", "calibration", text + ("" if usual else ": unusual, is it metres?"))
+
+
+def is_usual_baseline(frame: Frame) -> bool:
+    """Tell whether a car carries a pair of that baseline; True where there is none."""
+    return frame.baseline_m is None or BASELINE_M[0] <= frame.baseline_m <= BASELINE_M[1]

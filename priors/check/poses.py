@@ -13,8 +13,8 @@ from priors.types import Frame
 STILL_M = 0.02
 FAR_M = 10_000.0
 """Beyond, it is noted that the poses are far from the origin."""
-COARSEST_M = 0.02
-"""Poses on a lattice of larger steps were written with too few digits."""
+STEPS_M = (10.0, 1.0, 0.5, 0.25, 0.125, 0.1, 0.0625, 0.03125)
+"""Poses far from the origin whose positions are multiples of one of these were written with too few digits."""
 
 
 def judge_poses(frames: Sequence[Frame], sampled: Sequence[Sample]) -> Iterator[Finding]:
@@ -34,8 +34,7 @@ def judge_poses(frames: Sequence[Frame], sampled: Sequence[Sample]) -> Iterator[
         yield Finding("warning", "poses", f"{len(lacking)} frames have none: {some(lacking)}")
     yield from _rigid(path)
     yield from _motion(path)
-    seen = [sample for sample in sampled if sample.seen_motion is not None]
-    if not (yield from judge_axes(seen)):
+    if not (yield from judge_axes(sampled)):
         yield from judge_direction(path, pair=frames[0].baseline_m is not None)
 
 
@@ -64,12 +63,13 @@ def _motion(path: Trajectory) -> Iterator[Finding]:
         many = f"{still} of {len(steps_m)} steps"
         yield Finding("note", "poses", f"the vehicle stands still in {many}: leave them out with --min-motion 0.1")
     far_m = float(np.linalg.norm(path.T_world_rig[:, :3, 3], axis=1).max())
+    if far_m <= FAR_M:
+        return
+    yield Finding("note", "poses", f"they lie {far_m / 1000:.0f} km from the origin: fine, what counts is relative")
     lattice_m = lattice(path)
     if lattice_m is not None:
         text = f"positions are multiples of {lattice_m:g} m: they were rounded: write them with more digits"
         yield Finding("warning", "poses", text)
-    elif far_m > FAR_M:
-        yield Finding("note", "poses", f"they lie {far_m / 1000:.0f} km from the origin: fine, what counts is relative")
 
 
 def _jumps(path: Trajectory) -> str:
@@ -86,16 +86,13 @@ def _jumps(path: Trajectory) -> str:
 
 
 def lattice(path: Trajectory) -> float | None:
-    """Return the step, metres, on whose multiples all positions lie; None where there is none.
+    """Return the step, metres, on whose multiples the positions lie along one of the axes; None where there is none.
 
-    A step is that of float32 far from the origin (a power of two) or of few digits (a power of ten).
+    It is that of float32 far from the origin (a power of two) or of few digits (a power of ten), the largest that fits.
     """
-    moved_m = np.abs(np.diff(path.T_world_rig[:, :3, 3], axis=0)).ravel()
-    moved_m = moved_m[moved_m > 1e-6]
-    if len(np.unique(moved_m.round(6))) < 3:
-        return None
-    least_m = float(moved_m.min())
-    for step_m in (*(2.0**-n for n in range(6)), *(10.0**-n for n in range(2))):
-        if step_m >= COARSEST_M and step_m <= least_m * 1.001:
-            return step_m if np.abs(moved_m / step_m - np.rint(moved_m / step_m)).max() < 1e-3 else None
+    for step_m in STEPS_M:
+        for along_m in path.T_world_rig[:, :3, 3].T:
+            moves = np.ptp(along_m) > step_m and np.abs(along_m).max() > FAR_M
+            if moves and np.abs(along_m / step_m - np.rint(along_m / step_m)).max() < 1e-3:
+                return step_m
     return None

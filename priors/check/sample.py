@@ -30,6 +30,8 @@ class Sample:
     frame: Frame
     before: Frame | None = None
     after: Frame | None = None
+    trusts_stereo: bool = True
+    """Whether the pair works: else what stereo sees is no evidence."""
     _read: dict[str, Any] = field(default_factory=dict)
     _errors: dict[str, str] = field(default_factory=dict)
 
@@ -50,12 +52,18 @@ class Sample:
 
     def look(self) -> None:
         """Read and compare everything now."""
-        _ = self.corners, self.sweep_pairs, self.seen_motion, self.read("truth"), self.read("sparse")
+        _ = self.corners, self.sweep_pairs, self.read("truth"), self.read("sparse"), self.follower
 
     @cached_property
     def grey(self) -> Image | None:
         """The image (height, width), grey."""
         image = self.read("image")
+        return None if image is None else as_grey(image)
+
+    @cached_property
+    def follower(self) -> Image | None:
+        """The image of the frame after (height, width), grey."""
+        image = None if self.after is None else attempt(self.after.image)
         return None if image is None else as_grey(image)
 
     @cached_property
@@ -111,22 +119,24 @@ class Sample:
     def depths(self) -> dict[str, FloatMap]:
         """Every depth map of the frame (height, width), metres, by what made it; the surest first."""
         maps = {
-            "stereo": self.stereo_m,
+            "stereo": self.stereo_m if self.trusts_stereo else None,
             "LiDAR": self.sweep_m,
             "truth": self.map_m("truth"),
             "sparse": self.map_m("sparse"),
         }
         return {name: map_m for name, map_m in maps.items() if map_m is not None and (map_m > 0).any()}
 
+    def drop(self, what: str, value_m: float | None) -> None:
+        """Take a number that stands for 'none' out of a kind of map."""
+        if value_m is not None and what in self.depths:
+            self.depths[what] = np.where(self.depths[what] == np.float32(value_m), np.float32(0), self.depths[what])
+
     @cached_property
     def seen_motion(self) -> SeenMotion | None:
         """How the camera moves to the frame after, as the images show it; None where they do not."""
-        if self.after is None or self.grey is None:
+        if self.grey is None or self.follower is None or self.follower.shape != self.grey.shape:
             return None
-        image = attempt(self.after.image)
-        if image is None or image.shape[:2] != self.grey.shape:
-            return None
-        return see_motion(self.grey, as_grey(image), self.frame.camera, self.depths)
+        return see_motion(self.grey, self.follower, self.frame.camera, self.depths)
 
 
 def attempt(make: Callable[[], Made]) -> Made | None:

@@ -14,6 +14,8 @@ OFF_ROW_PX, BAD_ROW_PX = 0.5, 2.0
 """Vertical offset of the pair, median."""
 SCATTER_PX = 1.0
 """Deviation from it, median, beyond which the images are of two moments: between them things move across rows."""
+SURE_PX = 0.2
+"""Where they scatter less, it is one moment."""
 SAME_PX = 0.75
 """Where nine in ten corners are shifted less, the two images are one."""
 CALMER = 0.6
@@ -60,9 +62,10 @@ def _judge_shifts(pairs: Sequence[Sample], shifts: npt.NDArray[np.float64]) -> F
         text += f": {wrong:.0%} are shifted the wrong way: swap left and right images"
         return Finding("fatal", "stereo", text)
     scatter_px = _scatter(shifts)
-    if scatter_px > SCATTER_PX:
-        text += f", scattered by {scatter_px:.1f} px"
-        return Finding("fatal", "stereo", f"{text}: {_moment(pairs, scatter_px)}")
+    moment = _other_moment(pairs, scatter_px) if scatter_px > SURE_PX else None
+    if moment is not None or scatter_px > SCATTER_PX:
+        cause = moment or "the two images are of two moments"
+        return Finding("fatal", "stereo", f"{text}, scattered by {scatter_px:.1f} px: {cause}: join them by frame")
     if abs(rows_px) > BAD_ROW_PX:
         text += ": the rows do not match, stereo will be poor: rectify the pair anew"
         return Finding("warning", "stereo", text)
@@ -76,15 +79,13 @@ def _scatter(shifts: npt.NDArray[np.float64]) -> float:
     return float(np.median(np.abs(shifts[:, 1] - np.median(shifts[:, 1]))))
 
 
-def _moment(pairs: Sequence[Sample], scatter_px: float) -> str:
-    """Say from which moment the other images are, where the frames before or after tell."""
-    for way, moments in (
-        ("one frame late", [sample.before for sample in pairs]),
-        ("one frame early", [sample.after for sample in pairs]),
-    ):
-        by_frame = [s.corners_in(moment) for s, moment in zip(pairs, moments, strict=True)]
+def _other_moment(pairs: Sequence[Sample], scatter_px: float) -> str | None:
+    """Say from which frame the other images are, where that before or after fits better; None where it does not."""
+    ways = {"late": [sample.before for sample in pairs], "early": [sample.after for sample in pairs]}
+    for way, moments in ways.items():
+        by_frame = [sample.corners_in(moment) for sample, moment in zip(pairs, moments, strict=True)]
         found = [shifts for shifts in by_frame if shifts is not None and len(shifts)]
         shifts = np.concatenate(found) if found else np.zeros((0, 2))
         if len(shifts) >= FEWEST and _scatter(shifts) < CALMER * scatter_px:
-            return f"the other camera's images are {way}: join them with their own frames"
-    return "the two images are of two moments: join them by frame"
+            return f"the other camera's images are one frame {way}"
+    return None
