@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
@@ -62,31 +63,35 @@ class ThreadArguments:
         return threads.limited(threads.usual() if self.threads is None else self.threads)
 
 
-def drive_key(prior: Prior) -> tuple[str, ...]:
-    """Return what tells apart the drives that priors were made for."""
+def by_drive(priors: Sequence[Prior]) -> list[list[Prior]]:
+    """Put together the priors that were made for one drive."""
+    return [list(together) for _, together in groupby(sorted(priors, key=_drive_key), key=_drive_key)]
+
+
+def _drive_key(prior: Prior) -> tuple[str, ...]:
     return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
 
 
-def reopen_drive(prior: Prior, truth: Path | None = None, data: Path | None = None) -> Drive:
-    """Open the drive that a prior was made for.
+def reopen_drive(priors: Sequence[Prior], truth: Path | None = None, data: Path | None = None) -> Drive:
+    """Open the drive that priors were made for.
 
     Args:
-        prior: whose manifest says where it was.
+        priors: of one drive; the first one's manifest says where it was.
         truth: names its depth maps where the build was not told.
-        data: where the drive is now; its files must be the same. The manifest is brought up to date.
+        data: where the drive is now; its files must be the same. The priors' manifests are brought up to date.
     """
-    described = prior.drive if truth is None else {**prior.drive, "truth": str(truth)}
+    described = priors[0].drive if truth is None else {**priors[0].drive, "truth": str(truth)}
+    drive = drives.reopen(described, data)
     if data is None:
-        if not Path(str(described.get("path", ""))).is_dir():
-            raise DataError(f"{described.get('path')}: no such folder: has the drive moved? Name it: --data FOLDER")
-        return drives.reopen(described)
-    options = DriveOptions(described.get("drive"), described.get("camera"), truth)
-    drive = drives.open_drive(data, str(described.get("dataset", "auto")), options)
-    if drive.fingerprint() != prior.manifest.get("fingerprint", drive.fingerprint()):
-        raise DataError(f"--data {data}: is not the drive of {prior.folder}: its calibration, poses or images differ")
-    moved = {**prior.manifest, "drive": {"name": drive.name, **drive.describe()}}
-    with suppress(OSError):  # a cache that cannot be written is told of the new place each time
-        cache.create(prior.folder, moved)
+        return drive
+    for prior in priors:
+        if drive.fingerprint() != prior.manifest.get("fingerprint", drive.fingerprint()):
+            raise DataError(
+                f"--data {data}: is not the drive of {prior.folder}: its calibration, poses or images differ"
+            )
+        moved = {**prior.manifest, "drive": {"name": drive.name, **drive.describe()}}
+        with suppress(OSError):  # a cache that cannot be written is told of the new place each time
+            cache.create(prior.folder, moved)
     return drive
 
 

@@ -9,7 +9,7 @@ from typing import TypeVar
 
 import tyro
 
-from cli.renamed import flags_of
+from cli.renamed import flags_of, negated
 from priors.errors import DataError, UsageError
 
 Parsed = TypeVar("Parsed")
@@ -27,7 +27,7 @@ def refuse_unknown(kind: type[object], command: str, arguments: Sequence[str]) -
     """Raise UsageError at the first flag that a command does not have; it names the nearest that it has."""
     names = flags_of(kind)
     flags = {f"--{name}" for name in names} | {"--help"}
-    known = flags | {f"--{_negated(name)}" for name in names}
+    known = flags | {f"--{negated(name)}" for name in names}
     for word in arguments:
         flag = word.partition("=")[0].replace("_", "-")
         if word.startswith("--") and len(word) > 2 and flag not in known:
@@ -77,9 +77,3 @@ def _one_line(box: str, command: str) -> str:
         choices = [name.strip(" ',") for name in listed.split(",") if name.strip(" ',")]
         return f"{flag} {wrong}: choose one of {', '.join(choices)}{nearest(wrong, choices)}"
     return f"{text[:1].lower() + text[1:].rstrip('.')}: see {command} --help"
-
-
-def _negated(name: str) -> str:
-    """Return what switches a flag off: stereo.no-fill of stereo.fill."""
-    prefix, dot, last = name.rpartition(".")
-    return f"{prefix}{dot}no-{last}"

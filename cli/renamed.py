@@ -3,7 +3,7 @@
 A field's old names stand beside its config (priors/records.py); the same lines serve manifests and runs.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields
 from typing import Any, get_args, get_type_hints
 
@@ -53,11 +53,13 @@ def groups(kind: type[Any]) -> list[tuple[type[Any], str]]:
 
 def flags_of(kind: type[Any]) -> set[str]:
     """Return the flags of a command's arguments, without the dashes; positional arguments are among them."""
-    return {
-        group.prefix + field.name.replace("_", "-")
-        for group in _groups(_Group(kind, "", ""))
-        for field in fields(group.kind)
-    }
+    return set(_flags(_groups(_Group(kind, "", ""))).values())
+
+
+def negated(flag: str) -> str:
+    """Return what switches a flag off: stereo.no-flag."""
+    prefix, dot, name = flag.rpartition(".")
+    return f"{prefix}{dot}no-{name}"
 
 
 def _take_numbers(words: list[str], most: int) -> list[str]:
@@ -82,11 +84,7 @@ def _is_number(word: str) -> bool:
 def _renamed(kind: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
     """Yield earlier flags and what they are called now; those that are flags of today too are not renamed."""
     groups = list(_groups(_Group(kind, "", "")))
-    flags = {
-        group.path + field.name: group.prefix + field.name.replace("_", "-")
-        for group in groups
-        for field in fields(group.kind)
-    }
+    flags = _flags(groups)
     today = set(flags.values())
     for group in groups:
         for old, place in aliases(group.kind).items():
@@ -95,13 +93,16 @@ def _renamed(kind: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
             if was not in today:
                 yield f"--{was}", tuple(f"--{flag}" for flag in now)
                 if len(now) == 1:
-                    yield f"--{_negated(was)}", (f"--{_negated(now[0])}",)
+                    yield f"--{negated(was)}", (f"--{negated(now[0])}",)
 
 
-def _negated(flag: str) -> str:
-    """Return what switches a flag off: stereo.no-flag."""
-    prefix, dot, name = flag.rpartition(".")
-    return f"{prefix}{dot}no-{name}"
+def _flags(groups: Iterable[_Group]) -> dict[str, str]:
+    """Return what each field is called as a flag, by where it is: "stereo.offset_px" -> "stereo.offset-px"."""
+    return {
+        group.path + field.name: group.prefix + field.name.replace("_", "-")
+        for group in groups
+        for field in fields(group.kind)
+    }
 
 
 def _groups(group: _Group) -> Iterator[_Group]:

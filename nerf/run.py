@@ -27,7 +27,7 @@ from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
 from priors import cache
 from priors.cache import Prior
-from priors.drives import DriveOptions, open_drive, reopen
+from priors.drives import reopen
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.machine import threads
@@ -36,6 +36,8 @@ from priors.records import restore
 from priors.types import Drive
 
 FORMAT = 1
+CONFIG = "config.json"
+"""What every run's folder has."""
 SCENES = ".scenes"
 """Folder beside the runs that holds their prepared arrays, shared by all of them."""
 
@@ -88,9 +90,6 @@ class Run:
     @cached_property
     def drive(self) -> Drive:
         """The run's drive."""
-        path = Path(str(self.config.drive.get("path", "")))
-        if self.source is None and not path.is_dir():
-            raise DataError(f"{path}: no such folder: has the drive moved? Name it: --data FOLDER")
         return self.source or reopen(self.config.drive)
 
     @cached_property
@@ -184,15 +183,14 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     A run that had another budget goes on as well, at the new budget's learning rate; with `same_budget` it is begun
     anew, so that figures are those of the budget that is asked for.
     """
-    path = folder / "config.json"
+    path = folder / CONFIG
     before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
     if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
         for name in (checkpoint.NAME, "metrics.jsonl", "metrics.json"):
             (folder / name).unlink(missing_ok=True)
-    text = json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n"
-    write_bytes(path, text.encode())
+    _write(folder, config)
     return Run(folder, config)
 
 
@@ -202,7 +200,7 @@ def open_run(folder: Path) -> Run:
     Raises:
         DataError: there is no config.json in it, or it is damaged or of another format.
     """
-    path = folder / "config.json"
+    path = folder / CONFIG
     try:
         record = json.loads(path.read_text(encoding="utf-8"))
         if record.pop("format") != FORMAT:
@@ -222,16 +220,28 @@ def moved(run: Run, data: Path) -> Run:
     Raises:
         DataError: that folder holds another drive: the run's images have other calibration or poses.
     """
-    described = run.config.drive
-    options = DriveOptions(camera=described.get("camera"), truth=described.get("truth"))
-    drive = open_drive(data, str(described.get("dataset", "auto")), options)
-    path = run.folder / "config.json"
+    drive = reopen(run.config.drive, data)
     if not is_prepared(drive, run.config.scene, run.folder.parent / SCENES):
         raise DataError(f"--data {data}: is not the drive of {run.folder}: its calibration, poses or images differ")
     config = replace(run.config, drive=drive.describe())
     with suppress(OSError):  # a run that cannot be written is told of the new place each time
-        write_bytes(path, (json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n").encode())
+        _write(run.folder, config)
     return replace(run, config=config, source=drive)
+
+
+def find(path: Path) -> list[Path]:
+    """Return the folder of the run at path, or of all runs that it holds, sorted; DataError where there is none."""
+    if (path / CONFIG).exists() or not path.is_dir():  # what is no folder is told when it is opened
+        return [path]
+    folders = sorted(inner.parent for inner in path.glob(f"*/{CONFIG}"))
+    if not folders:
+        raise DataError(f"{path}: not a run's folder, and no runs in it: `nerf fit` makes one")
+    return folders
+
+
+def _write(folder: Path, config: RunConfig) -> None:
+    """Write a run's config."""
+    write_bytes(folder / CONFIG, (json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n").encode())
 
 
 def _comparable(config: RunConfig) -> dict[str, Any]:

@@ -36,6 +36,11 @@ def joined(ids: Iterable[str], paths: Mapping[str, Kind]) -> dict[str, Kind]:
     return named
 
 
+def by_number(ids: Iterable[str]) -> dict[int, str]:
+    """Map number to id, for the ids of digits only; of several with one number it is the last."""
+    return {int(id_): id_ for id_ in ids if id_.isdecimal()}
+
+
 def sole_numbers(ids: Iterable[str]) -> dict[int, str]:
     """Map number to id, for the ids of digits only that are the only ones with their number."""
     digits = [id_ for id_ in ids if id_.isdecimal()]

@@ -13,9 +13,9 @@ def labels(priors: Sequence[Prior], long: bool = False) -> list[str]:
     """Name the priors of a table, each differently.
 
     A name is short: the method and its network ('stereo cfnet'), then what differs between priors of that name, and
-    the key only where nothing else does. With `long` it is `label`, which tells every unusual setting.
+    the key only where nothing else does. A long one tells every unusual setting: 'stereo model=cfnet + Clip 80'.
     """
-    names = [label(prior, decided=True) for prior in priors] if long else _short_names(priors)
+    names = [_long_name(prior) for prior in priors] if long else _short_names(priors)
     often = Counter(names)
     return [name if often[name] == 1 else _with_key(name, prior) for name, prior in zip(names, priors, strict=True)]
 
@@ -39,29 +39,17 @@ def _network_name(prior: Prior) -> str:
     return prior.method if model is None or model == usual.get("model") else f"{prior.method} {model}"
 
 
+def _long_name(prior: Prior) -> str:
+    """Name a prior by its method and everything that is unusual about it."""
+    return " ".join([prior.method, *_described(prior).values()])
+
+
 def _described(prior: Prior) -> dict[str, str]:
-    """Return what is unusual about a prior but its network, in words, by setting and filter."""
+    """Return what is unusual about a prior, in words, by setting and filter."""
     usual, own = _usual_and_own(prior)
-    words = {
-        key: f"{key}={_short(value)}" for key, value in own.items() if key != "model" and usual.get(key, value) != value
-    }
+    words = {key: f"{key}={_short(value)}" for key, value in own.items() if usual.get(key, value) != value}
     filters = prior.manifest.get("filters", {})
     return words | {name: f"+ {_words(name, values)}" for name, values in filters.items()}
-
-
-def label(prior: Prior, decided: bool = False) -> str:
-    """Name one prior: 'stereo', 'lidar sweeps=1', 'stereo + Clip 80'.
-
-    Settings that are 'auto' by default and were decided for the drive are named where `decided` is True.
-    """
-    usual, config = _usual_and_own(prior)
-    settings = [
-        f"{name}={_short(value)}"
-        for name, value in config.items()
-        if usual.get(name, value) != value and (decided or usual[name] != "auto")
-    ]
-    filters = [_words(name, values) for name, values in prior.manifest.get("filters", {}).items()]
-    return " + ".join([" ".join([prior.method, *settings]), *filters])
 
 
 def _with_key(name: str, prior: Prior) -> str:

@@ -366,10 +366,13 @@ def test_the_drive_and_the_method_may_be_left_out(street: Path, tmp_path: Path) 
 
 
 def test_a_bad_truth_and_a_moved_drive_cost_no_table(copy: Path, tmp_path: Path) -> None:
-    succeed("build", copy, "--method", "stereo", "--frames", "0:2", "--cache", "c", cwd=tmp_path)
+    for method in ("stereo", "lidar"):
+        succeed("build", copy, "--method", method, "--frames", "0:2", "--cache", "c", cwd=tmp_path)
     moved = copy.rename(tmp_path / "moved")
     assert "has the drive moved? Name it: --data FOLDER" in fail("eval", "c", cwd=tmp_path)
     succeed("eval", "c", "--data", moved, cwd=tmp_path)
+    paths = {json.loads(path.read_text())["drive"]["path"] for path in (tmp_path / "c").rglob("manifest.json")}
+    assert paths == {str(drive_folder(moved))}
     truth = next(moved.rglob("groundtruth/image_02/0000000000.png"))
     codecs.write_depth_png(truth, codecs.read_depth_png(truth)[::2, ::2])
     done = priors("eval", "c", cwd=tmp_path)

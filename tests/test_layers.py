@@ -12,6 +12,7 @@ ROOMS = [
     "priors/errors",
     "priors/extensions",
     "priors/records",
+    "priors/owner",
     "priors/types",
     "priors/text",
     "priors/frame_ids",

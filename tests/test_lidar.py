@@ -294,7 +294,7 @@ def test_no_sweep_at_all_is_an_error():
         Lidar(sweeps=3)(read_some(frame, [0], error=True))
     with pytest.raises(DataError, match="no sweep"):
         Lidar()(Frame("7", CAMERA, {}))
-    with pytest.raises(DataError, match="1 or more"):
+    with pytest.raises(DataError, match=r"--lidar\.sweeps 0: expected a whole number from 1 to 10001"):
         Lidar(sweeps=0)
 
 

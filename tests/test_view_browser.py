@@ -40,7 +40,8 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def served(*arguments: object, cwd: Path) -> Iterator[str]:
     """Run a view; yields its address. Ctrl-C must end it, with one line."""
     command = [str(COMMANDS / str(arguments[0])), *map(str, arguments[1:])]
-    running = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, text=True)
+    # A shell starts background jobs with Ctrl-C ignored, and what they start inherits it; on a terminal it is not.
+    running = subprocess.Popen(command, cwd=cwd, stdout=subprocess.PIPE, text=True, preexec_fn=_hear_ctrl_c)
     assert running.stdout is not None
     try:
         line = running.stdout.readline()
@@ -51,6 +52,10 @@ def served(*arguments: object, cwd: Path) -> Iterator[str]:
         assert running.communicate(timeout=30)[0] == "the view has ended\n" and running.returncode == 0
     finally:
         running.kill()
+
+
+def _hear_ctrl_c() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def scene_picture(window: Window) -> np.ndarray:

@@ -16,7 +16,7 @@ from eval.files import write_bytes
 from nerf.page import runs_page
 from nerf.pictures import compare, load_view
 from nerf.report import Report
-from nerf.run import Run
+from nerf.run import Run, find
 from nerf.study_table import COLUMNS
 from nerf.truths import Truths
 from priors import codecs
@@ -35,8 +35,6 @@ examples:
   nerf eval runs/a runs/b --pictures pictures       image, depth and error of each, a picture a held-out view
   nerf eval runs/a --lpips-weights squeezenet1_1_fp16.npz squeeze.pth
 """
-RUN = "config.json"
-"""What a run's folder has."""
 WRITERS = {".md": typeset.markdown, ".tex": typeset.latex, ".txt": typeset.plain}
 
 
@@ -81,7 +79,8 @@ def run(arguments: list[str]) -> int:
 
 def _score(args: ReportArguments, command: str) -> int:
     lpips = args.lpips.open()
-    runs, reports = _report_all(args, lpips)
+    folders = [folder for path in args.runs for folder in find(path)]
+    runs, reports = _report_all(folders, args, lpips)
     laid = print_table(reports)
     for path in args.save:
         if path.suffix == SUFFIX:
@@ -97,12 +96,14 @@ def _score(args: ReportArguments, command: str) -> int:
             codecs.write_image(args.pictures / f"{id_}.jpg", image, 90)
             count += 1
         out.print(f"wrote {count} pictures to {args.pictures}")
-    return DATA_ERROR if len(runs) < len(_folders(args.runs)) else 0
+    return DATA_ERROR if len(runs) < len(folders) else 0
 
 
-def _report_all(args: ReportArguments, network: lpips.Lpips | None) -> tuple[list[Run], list[Report]]:
+def _report_all(
+    folders: Sequence[Path], args: ReportArguments, network: lpips.Lpips | None
+) -> tuple[list[Run], list[Report]]:
     """Score the runs; those that cannot be scored are named and left out. DataError where none can."""
-    runs, reports, folders = [], [], _folders(args.runs)
+    runs, reports = [], []
     for folder in folders:
         try:
             run = open_moved(folder, args.data)
@@ -115,18 +116,6 @@ def _report_all(args: ReportArguments, network: lpips.Lpips | None) -> tuple[lis
     if not runs:
         raise DataError(f"none of {len(folders)} runs can be scored: see above")
     return runs, reports
-
-
-def _folders(named: Sequence[Path]) -> list[Path]:
-    """Return the runs' folders: those that are named, and those that a named folder holds."""
-    folders: list[Path] = []
-    for path in named:
-        is_run = (path / RUN).exists() or not path.is_dir()
-        held = [path] if is_run else [inner.parent for inner in path.glob(f"*/{RUN}")]
-        if not held:
-            raise DataError(f"{path}: not a run's folder, and no runs in it: `nerf fit` makes one")
-        folders += sorted(held)
-    return folders
 
 
 def _compared(runs: Sequence[Run], most: int | None = None) -> Iterator[tuple[str, Image]]:

@@ -2,10 +2,9 @@
 
 import shlex
 from collections.abc import Sequence
-from itertools import groupby
 from pathlib import Path
 
-from cli.arguments import DriveArguments, drive_key, reopen_drive
+from cli.arguments import DriveArguments, by_drive, reopen_drive
 from cli.console import err
 from priors import cache
 from priors.advice import PriorAdvice, advise_prior
@@ -36,10 +35,10 @@ def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str])
         drive = args.open()
         own = [one for one in priors if one.manifest.get("fingerprint") == drive.fingerprint()]
         return drive, _choose(own or priors, drive)
-    drives = [list(together) for _, together in groupby(sorted(priors, key=drive_key), key=drive_key)]
+    drives = by_drive(priors)
     if len(drives) > 1:
         raise UsageError(f"{prior}: priors of {len(drives)} drives: name one:{_listed(drives, typed)}")
-    drive = reopen_drive(priors[0], args.part.truth)
+    drive = reopen_drive(priors, args.part.truth)
     err.print(f"drive: {drive.name}, as its priors say")
     return drive, _choose(priors, drive)
 

@@ -3,13 +3,12 @@
 import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 
-from cli.arguments import drive_key, parse, reopen_drive
+from cli.arguments import by_drive, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from eval import table
 from eval.curves import Curves
@@ -148,7 +147,7 @@ def run(arguments: list[str]) -> int:
     args = parse(ScoreArguments, "priors eval", EXAMPLES, arguments)
     files = [path for path in args.caches if path.suffix == ".json"]
     priors = [prior for path in args.caches if path not in files for prior in _with_maps(path)]
-    drives = [list(together) for _, together in groupby(sorted(priors, key=drive_key), key=drive_key)]
+    drives = by_drive(priors)
     output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + bool(files) > 1)
     if files:
         output.show(Scored([Result.load(path) for path in files]))
@@ -183,7 +182,7 @@ def _try_drive(priors: list[Prior], output: Output) -> bool:
 
 def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scored:
     """Score the priors of one drive."""
-    drive, names = reopen_drive(priors[0], args.truth, args.data), labels(priors, args.long)
+    drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
     against = None if args.against is None else cache.only(args.against)
     pictures = picture_frames(drive, priors, names, args.frames) if args.page else []
     scored = Scored([], {}, pictures)

@@ -1,13 +1,12 @@
 """`priors show`: pictures of cached maps."""
 
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cli.arguments import drive_key, parse, reopen_drive
+from cli.arguments import by_drive, parse, reopen_drive
 from cli.console import out, progress
 from priors import cache, codecs
 from priors.cache import Prior
@@ -53,13 +52,13 @@ def run(arguments: list[str]) -> int:
     """Write the pictures; returns the exit code."""
     args = parse(ShowArguments, "priors show", EXAMPLES, arguments)
     priors = [prior for path in args.caches for prior in cache.find(path)]
-    for _, together in groupby(sorted(priors, key=drive_key), key=drive_key):
-        _show_drive(list(together), args)
+    for together in by_drive(priors):
+        _show_drive(together, args)
     return 0
 
 
 def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
-    drive = reopen_drive(priors[0], args.truth, args.data)
+    drive = reopen_drive(priors, args.truth, args.data)
     cached = {id_ for prior in priors for id_ in prior.ids()}
     indices = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
     if not indices:

@@ -1,13 +1,12 @@
 """`priors view`: a drive and its priors in three dimensions, live in a browser."""
 
 from dataclasses import dataclass, field
-from itertools import groupby
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cli.arguments import DatasetName, DriveArguments, drive_key, parse, reopen_drive
+from cli.arguments import DatasetName, DriveArguments, by_drive, parse, reopen_drive
 from cli.view import AddressArguments
 from priors import cache
 from priors.cache import Prior
@@ -58,7 +57,7 @@ class ViewArguments(AddressArguments):
         place = CACHE if self.what is None and _is_cache(CACHE) else self.what
         priors = [] if place is None or not _is_cache(place) else self._priors(place)
         if priors:
-            drive = reopen_drive(priors[0], self.part.truth, self.data)
+            drive = reopen_drive(priors, self.part.truth, self.data)
         else:
             drive = DriveArguments(place, self.dataset, self.part).open(typed)
         named = dict(zip(labels(priors), priors, strict=True))
@@ -70,7 +69,7 @@ class ViewArguments(AddressArguments):
         found = [prior for prior in cache.find(place) if wanted in (None, prior.drive["name"])]
         if not found:
             raise DataError(f"{place}: no priors of {wanted}: `priors list {place}` tells what there is")
-        several = [list(group) for _, group in groupby(sorted(found, key=drive_key), key=drive_key)]
+        several = by_drive(found)
         if len(several) > 1:
             lines = [f"\n  priors view {group[0].folder.parent}" for group in several]
             raise UsageError(f"{place}: holds {len(several)} drives: name one:{''.join(lines)}")

@@ -68,15 +68,26 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     return drive
 
 
-def reopen(description: dict[str, Any]) -> Drive:
-    """Open the drive that a manifest describes: what its `describe()` returned."""
+def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
+    """Open the drive that a manifest describes: what its `describe()` returned.
+
+    Args:
+        description: of the drive.
+        moved_to: where it is now. Whether it is the same drive is for the caller to ask, by its fingerprint.
+
+    Raises:
+        DataError: the description is damaged, or the drive is not there.
+    """
     try:
         path, dataset = Path(description["path"]), str(description["dataset"])
     except (KeyError, TypeError) as error:
         raise DataError(f"the manifest's drive lacks 'path' or 'dataset': {description!r:.80}") from error
-    truth = description.get("truth")
-    options = DriveOptions(camera=description.get("camera"), truth=None if truth is None else Path(truth))
-    return open_drive(path, dataset, options)
+    truth = None if description.get("truth") is None else Path(description["truth"])
+    if moved_to is None and not path.is_dir():
+        raise DataError(f"{path}: no such folder: has the drive moved? Name it: --data FOLDER")
+    if moved_to is not None and truth is not None and not truth.is_dir():
+        truth = None  # it moved too, or lies beside the drive as usual
+    return open_drive(moved_to or path, dataset, DriveOptions(camera=description.get("camera"), truth=truth))
 
 
 def reader(name: str) -> ModuleType:

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from priors.drives._files import read_times, stems
 from priors.errors import DataError
+from priors.frame_ids import by_number
 from priors.geometry import invert
 from priors.motion import Trajectory
 from priors.text import read_lines
@@ -32,7 +33,7 @@ class Track:
 
     def __init__(self, folder: Path) -> None:
         self.files = stems(folder / "data", [".txt"])
-        self._by_number = {int(id_): id_ for id_ in self.files if id_.isdecimal()}
+        self._by_number = by_number(self.files)
         self._stamps_file = folder / "timestamps.txt"
         self._records: dict[str, Matrix] = {}
 

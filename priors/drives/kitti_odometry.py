@@ -34,7 +34,7 @@ from priors.drives._links import beside, homes
 from priors.drives._rigs import KITTI
 from priors.drives._velodyne import read_sweep_file
 from priors.errors import DataError
-from priors.frame_ids import joined
+from priors.frame_ids import by_number, joined
 from priors.geometry import invert
 from priors.motion import Trajectory
 from priors.poses import by_id, parse_pose, read_pose_lines
@@ -103,7 +103,7 @@ class KittiOdometry(CameraDrive):
             others = ", ".join(name for name in CAMERAS if (folder / name).is_dir())
             raise DataError(f"{folder / camera}: no images: download {_image_zip(camera)} (found {others})")
         self._sweeps = joined(self.images, stems(follow(self.folder / "velodyne"), [".bin"]))
-        self._by_number = {int(id_): id_ for id_ in {**self._sweeps, **self.images} if id_.isdecimal()}
+        self._by_number = by_number({**self._sweeps, **self.images})
         self._calibration = read_key_values(self.folder / "calib.txt")
         K, self._T_cam_cam0 = self._projection(camera)
         self.camera = Camera(K, first_size(self.images.values()))

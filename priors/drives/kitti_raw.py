@@ -43,7 +43,7 @@ from priors.drives._oxts import Track
 from priors.drives._rigs import KITTI
 from priors.drives._velodyne import SECONDS_PER_RADIAN, SWEEP_S, read_sweep_file
 from priors.errors import DataError
-from priors.frame_ids import joined
+from priors.frame_ids import by_number, joined
 from priors.geometry import invert
 from priors.types import Camera, Matrix, Sweep
 
@@ -104,7 +104,7 @@ class KittiRaw(CameraDrive):
         if not self.images:
             raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
         self._sweeps = joined(self.images, stems(follow(folder / "velodyne_points") / "data", [".bin"]))
-        self._by_number = {int(id_): id_ for id_ in {**self._sweeps, **self.images} if id_.isdecimal()}
+        self._by_number = by_number({**self._sweeps, **self.images})
         self._track = Track(follow(folder / "oxts"))
         self._homes = homes(folder, follow(folder / camera) / "data")
         self._files = {name: beside(self._homes, name) for name in (CAMERAS_FILE, VELO_FILE, IMU_FILE)}
