@@ -96,10 +96,10 @@ def fit(
                 log.write(status.line())
             on_step(status)
             if now - saved > SAVE_EVERY_S:
-                save(run, model, Spent(step, elapsed))
+                save(run, model, Spent(step, elapsed), scene.origin_m)
                 saved = now
     finally:
         log.close()
         if step > done.step:
-            save(run, model, Spent(step, elapsed))
+            save(run, model, Spent(step, elapsed), scene.origin_m)
     return model

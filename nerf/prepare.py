@@ -18,6 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.files import write_bytes
+from nerf import origin
+from nerf.origin import Offset
 from nerf.scene import Scene
 from nerf.split import check_views, split
 from nerf.stack import Stack, StackWriter
@@ -54,9 +56,22 @@ def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]
 
 
 def open_scene(
-    drive: Drive, prior: Prior | None, config: SceneConfig, folder: Path, progress: ProgressBar = silent
+    drive: Drive,
+    prior: Prior | None,
+    config: SceneConfig,
+    folder: Path,
+    progress: ProgressBar = silent,
+    origin_m: Offset | None = None,
 ) -> Scene:
     """Prepare a drive and a prior for training in a folder, or open what was prepared there before.
+
+    Args:
+        drive: its frames.
+        prior: its maps; None: colours alone.
+        config: which frames, and what the prior passes.
+        folder: where the arrays are kept.
+        progress: shows what is prepared.
+        origin_m: what a run that goes on took off the positions; None: chosen for these frames (nerf/origin.py).
 
     Raises:
         DataError: frames lack poses, poses jump, or the prior was made for another drive or camera, or has no frame
@@ -75,7 +90,9 @@ def open_scene(
             raise DataError(f"{prior.folder}: {lack}: build or filter it anew")
     camera, poses = Camera(np.array(record["K"]), tuple(record["size"])), np.array(record["T_world_cam"])
     images = Stack(preparation.home / "images.npy")
-    return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test)
+    origin_m = origin.origin_of(poses) if origin_m is None else origin_m
+    poses = origin.without(origin_m, poses)
+    return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test, origin_m)
 
 
 def is_prepared(drive: Drive, config: SceneConfig, folder: Path) -> bool:

@@ -7,6 +7,7 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -15,11 +16,13 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import checkpoint
+from nerf import checkpoint, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
 from nerf.model import Model
+from nerf.naming import labels
 from nerf.pictures import save_view
+from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
@@ -85,7 +88,7 @@ class Run:
     @property
     def name(self) -> str:
         """The folder's name."""
-        return self.folder.name
+        return labels([self.folder])[0]
 
     @cached_property
     def drive(self) -> Drive:
@@ -97,7 +100,9 @@ class Run:
         """The run's scene; what was prepared already is used again."""
         prior = None if self.config.prior is None else cache.only(Path(self.config.prior))
         with threads.limited(None):
-            return open_scene(self.drive, prior, self.config.scene, self.folder.parent / SCENES, self.progress)
+            home = self.folder.parent / SCENES
+            before = checkpoint.origin_of(self.folder)
+            return open_scene(self.drive, prior, self.config.scene, home, self.progress, before)
 
     def fit(self, device: str = "auto", on_step: OnStep = lambda status: None) -> Model:
         """Train until the budget is spent, or go on where the run was left; see nerf.fit.fit.
@@ -106,7 +111,8 @@ class Run:
             device: cpu, cuda, or auto: a GPU where there is one.
             on_step: called after each step.
         """
-        return fit(self.scene, self.config.fit, self.folder, on_step, pick_device(device))
+        model = fit(self.scene, self.config.fit, self.folder, on_step, pick_device(device))
+        return PlacedModel(model, self.scene.origin_m)
 
     def report(self, device: str = "auto", lpips: Lpips | None = None, info: dict[str, Any] | None = None) -> Report:
         """Score the held-out views of the trained field, and write the report's files.
@@ -116,15 +122,16 @@ class Run:
             lpips: None leaves that figure out.
             info: what the report says was run; default: what a study wrote of this run, else its name and config.
         """
-        model = self.open_model(device)
+        model = checkpoint.open_model(self.folder, pick_device(device))
         truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
         subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
         with threads.limited(None), self.progress(f"views of {self.name}", len(self.scene.test)) as step:
             return report(self.scene, truths, subject, self.folder, Scoring(lpips), step)
 
     def open_model(self, device: str = "auto") -> Model:
-        """Load the trained field."""
-        return checkpoint.open_model(self.folder, pick_device(device))
+        """Load the trained field; it renders poses of the drive's own frame."""
+        model = checkpoint.open_model(self.folder, pick_device(device))
+        return PlacedModel(model, checkpoint.origin_of(self.folder) or origin.NONE)
 
     def viewpoints(self, frames: str | None = None) -> Viewpoints:
         """Return where the drive's camera was, in a range of frames a:b; None: the run's."""
@@ -227,6 +234,12 @@ def moved(run: Run, data: Path) -> Run:
     with suppress(OSError):  # a run that cannot be written is told of the new place each time
         _write(run.folder, config)
     return replace(run, config=config, source=drive)
+
+
+def find_all(paths: Sequence[Path]) -> list[Path]:
+    """Return the folders of the runs at some paths, each once; DataError where one holds none."""
+    folders = [folder for path in paths for folder in find(path)]
+    return list({folder.resolve(): folder for folder in folders}.values())
 
 
 def find(path: Path) -> list[Path]:
