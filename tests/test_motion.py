@@ -1,5 +1,6 @@
 """Where a path breaks, against a slow version; and that what joins frames by their poses stays on one side of it."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ def straight(places_m: list[float], turns_deg: list[float] | None = None) -> dic
 
 def slow_breaks(places_m: list[float], gaps_s: list[float]) -> list[bool]:
     """The rule, step by step."""
-    steps = [abs(b - a) for a, b in zip(places_m, places_m[1:], strict=False)]
+    steps = [abs(b - a) for a, b in pairwise(places_m)]
     speeds = [step / gap for step, gap in zip(steps, gaps_s, strict=True)]
     found = []
     for n, speed in enumerate(speeds):
@@ -155,7 +156,7 @@ def test_lidar_far_from_the_origin_is_the_same(tmp_path: Path) -> None:
         lines = []
         for n in range(7):
             T = np.eye(4)
-            T[:3, 3] = origin_m + [0, 0, STEP_M * n]
+            T[:3, 3] = origin_m + np.array([0, 0, STEP_M * n])
             lines.append(" ".join(f"{value:.9f}" for value in T[:3].ravel()) + "\n")
         (root / "poses" / "06.txt").write_text("".join(lines))
         maps.append(Lidar(sweeps=5)(open_drive(root)[3]).depth_m)
