@@ -127,6 +127,22 @@ def test_records_beside_a_break_are_not_mixed(tmp_path: Path) -> None:
     assert np.abs(np.delete(steps_m, 6) - STEP_M).max() < 0.1
 
 
+def test_a_jump_of_recorded_positions_is_not_dead_reckoned_away(tmp_path: Path) -> None:
+    """Velocities go on evenly over the jump: the path breaks there all the same, and each side is right by itself."""
+    drive = break_raw(tmp_path, 20, 9)
+    for path in (drive / "oxts" / "data").iterdir():
+        words = path.read_text().split()
+        words[8:11] = [f"{STEP_M / 0.1}", "0.05", "0"]
+        path.write_text(" ".join(words) + "\n")
+    stamps = [f"2011-09-26 13:02:{25 + 0.1 * n:012.9f}\n" for n in range(20)]
+    (drive / "oxts" / "timestamps.txt").write_text("".join(stamps))
+    opened = open_drive(drive)
+    assert opened.describe()["poses"] == "dead-reckoned"
+    steps_m = trajectory(opened).steps_m
+    assert steps_m[8] == pytest.approx(8 + STEP_M, abs=0.05)
+    np.testing.assert_allclose(np.delete(steps_m, 8), STEP_M, atol=0.01)
+
+
 def test_lidar_accumulates_on_its_own_side_odometry(tmp_path: Path) -> None:
     root = write_odometry(tmp_path / "odometry", count=12)
     lines = [f"1 0 0 0 0 1 0 0 0 0 1 {STEP_M * n + (8 if n >= 7 else 0):.9f}\n" for n in range(12)]

@@ -99,19 +99,19 @@ class Track:
 
     @cached_property
     def _path_m(self) -> dict[str, Floats]:
-        """Positions (3,) by dead reckoning, Mercator metres; nothing where the records lack velocities or stamps."""
-        if not self._by_velocity:
-            return {}
-        records, times_s = {}, []
-        for id_ in self.files:
-            number = int(id_) if id_.isdecimal() else -1
-            try:
-                records[id_] = self.record(id_)
-            except DataError:
-                continue  # it spoils its own frame only
-            times_s.append(self._stamps.get(number, np.nan))
-        path_m = _sail(list(records.values()), np.array(times_s))
-        return {} if path_m is None else dict(zip(records, path_m, strict=True))
+        """Positions (3,) by dead reckoning, Mercator metres; none where records lack velocities or stamps.
+
+        Each part of a path that breaks is reckoned by itself.
+        """
+        found: dict[str, Floats] = {}
+        for first, end in self.path.parts if self._by_velocity else []:  # a jump is not spread over a part
+            numbers = [int(name) for name in self.path.names[first:end]]
+            ids = [self.id_of(number) for number in numbers]
+            times_s = np.array([self._stamps.get(number, np.nan) for number in numbers])
+            path_m = _sail([self.record(id_) for id_ in ids], times_s)
+            if path_m is not None:
+                found |= zip(ids, path_m, strict=True)
+        return found
 
     def _at_frame(self, id_: str) -> Matrix:
         """Return the pose between the frame's record and the next, or the one before."""
@@ -132,11 +132,11 @@ class Track:
 
     @cached_property
     def path(self) -> Trajectory:
-        """The records' trajectory, by frame number; damaged ones are left out."""
+        """The trajectory of the recorded positions, by frame number; damaged records are left out."""
         poses = {}
         for number, id_ in self._by_number.items():
             try:
-                poses[number] = self.record(id_)
+                poses[number] = self.record(id_).T_mercator_imu
             except DataError:
                 continue  # it spoils its own frame only
         return Trajectory.of_numbers(poses, self._stamps)
