@@ -63,7 +63,7 @@ OnStep = Callable[[Status], None]
 def fit(
     scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda status: None, device: str = "cpu"
 ) -> Model:
-    """Train until the budget is spent, or go on where the run's checkpoint left off.
+    """Train until the budget is spent, or go on where the run's checkpoint left off; without parameters, only save.
 
     Checkpoints are written every SAVE_EVERY_S seconds, at the end, and when interrupted; metrics.jsonl gets a line
     every LOG_EVERY steps.
@@ -79,6 +79,9 @@ def fit(
         DataError: there is no such family, or the run's checkpoint is damaged or was made with other settings.
     """
     model = fields.family(config.model.family).start(scene, config, device)
+    if not model.parameters():
+        save(run, model, Spent(), scene.origin_m)
+        return model
     done = resume(run, model)
     step, elapsed = done.step, done.elapsed_s
     saved = time.perf_counter()
