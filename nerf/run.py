@@ -7,6 +7,7 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import json
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
@@ -19,6 +20,7 @@ from nerf import checkpoint, fields, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
 from nerf.model import Model, ShowsScene
+from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
@@ -86,7 +88,7 @@ class Run:
     @property
     def name(self) -> str:
         """The folder's name."""
-        return self.folder.name
+        return labels([self.folder])[0]
 
     @cached_property
     def drive(self) -> Drive:
@@ -239,6 +241,12 @@ def moved(run: Run, data: Path) -> Run:
     with suppress(OSError):  # a run that cannot be written is told of the new place each time
         _write(run.folder, config)
     return replace(run, config=config, source=drive)
+
+
+def find_all(paths: Sequence[Path]) -> list[Path]:
+    """Return the folders of the runs at some paths, each once; DataError where one holds none."""
+    folders = [folder for path in paths for folder in find(path)]
+    return list({folder.resolve(): folder for folder in folders}.values())
 
 
 def find(path: Path) -> list[Path]:

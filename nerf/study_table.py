@@ -19,6 +19,7 @@ from eval.files import write_bytes
 from eval.protocol import ScoreError
 from eval.result import refuse_to_mix
 from eval.typeset import Column, Table
+from nerf.baseline import unbeaten
 from nerf.report import Report
 from nerf.study import NONE, SHARES, Outcome, RunSpec
 from priors import cache
@@ -26,7 +27,8 @@ from priors.draw import lines
 from priors.draw.lines import Line, Plot
 from priors.errors import DataError
 from priors.naming import labels
-from priors.report.page import Figure, Page, Section
+from priors.report.blocks import Commands, Figure, Ranking
+from priors.report.page import Chapter, Page, Section
 
 COLUMNS = {
     "psnr": Column("PSNR", "dB", higher=True, digits=2),
@@ -99,14 +101,14 @@ def save(outcomes: Sequence[Outcome], folder: Path, command: str) -> list[Path]:
     for path in [folder / f"density{suffix}" for suffix in (".png", ".svg", ".pdf") if plots]:
         lines.write(path, plots)
         paths.append(path)
-    figures = [Figure(plots)] if plots else []
+    title, lead = f"Study {folder.resolve().name}", "Scored on views that no run was trained on."
     sections = [
-        Section("Figures", table=laid),
-        Section("PSNR over the density of the prior", figures=figures),
-        Section("How it was made", commands=typed),
+        Section("Table", [Ranking(laid)]),
+        Section("PSNR over the density of the prior", [Figure(plots)] if plots else []),
+        Section("How the runs were made", [Commands(typed[1:])] if typed[1:] else []),
     ]
-    lead = f"{len(outcomes)} runs, scored on views that no run was trained on."
-    Page(f"Study {folder.resolve().name}", lead, sections).write(folder / "report.html")
+    page = Page(title, f"{len(outcomes)} runs. {lead}", [Chapter(title, "", sections)], command)
+    page.write(folder / "report.html")
     return [*paths, folder / "report.html"]
 
 
@@ -179,7 +181,7 @@ def _write(spec: RunSpec, key: str) -> str:
     if key == "truth_mask":
         return "with truth" if value else "all"
     if key == "loss":
-        return str(value)
+        return value or "-"
     if value is None:
         return "all"
     return f"{value:g} m" if key == "clip" else f"{value:g}"
@@ -203,4 +205,6 @@ def _notes(outcomes: Sequence[Outcome], groups: Mapping[RunSpec, Sequence[Report
     found += dict.fromkeys(remark for report in reports for remark in report.remarks)
     if len({tuple(frame.frame for frame in report.frames) for report in reports}) > 1:
         found.append("the rows were not scored on the same held-out views")
+    made = [(outcome.spec.name, outcome.report) for outcome in outcomes if outcome.report is not None]
+    found += unbeaten([name for name, _ in made], [report for _, report in made])
     return found + [f"{o.spec.name} failed: {o.error}" for o in outcomes if o.report is None]

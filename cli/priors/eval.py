@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -19,10 +19,13 @@ from priors.cache import Prior
 from priors.draw import figure, lines
 from priors.errors import DataError, UsageError, expect
 from priors.naming import labels
-from priors.report.page import SUFFIX, Picture
-from priors.report.scores import picture_frames, scores_page, sparsification
+from priors.report.frames import frames_wipe
+from priors.report.page import SUFFIX
+from priors.report.sample import Sample
+from priors.report.scores import DriveScores, scores_page, sparsification
 from priors.score import Score, pair, score_pairs
 from priors.selection import parse_range
+from priors.types import Drive
 
 EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior.
 metrics.json is written beside the maps.
@@ -89,24 +92,6 @@ class ScoreArguments:
 
 
 @dataclass(frozen=True)
-class Scored:
-    """The scores of one drive's priors, and what a page shows beside them."""
-
-    results: list[Result]
-    curves: dict[str, list[Curves]] = field(default_factory=dict)
-    """By a prior's name, of those with a confidence, where curves were asked for."""
-    pictures: list[Picture] = field(default_factory=list)
-    """Where a page was asked for."""
-    left_out: dict[str, str] = field(default_factory=dict)
-    """What could not be scored or kept -> why."""
-
-    @property
-    def drive(self) -> str:
-        """Return the drive's name; empty where a result does not say."""
-        return str(self.results[0].info.get("drive", ""))
-
-
-@dataclass(frozen=True)
 class Output:
     """Prints and writes what was asked for."""
 
@@ -116,7 +101,7 @@ class Output:
     several: bool
     """Whether there are several drives: each file's name then has the drive's in it."""
 
-    def show(self, scored: Scored) -> None:
+    def show(self, scored: DriveScores) -> None:
         """Print one drive's table and write its files."""
         out.print(scored.drive, style="bold")
         table.show(scored.results, self.args.metrics, out)
@@ -130,9 +115,9 @@ class Output:
         for wanted in self.args.save:
             self._save(scored, self._place(wanted, scored.drive))
 
-    def _save(self, scored: Scored, path: Path) -> None:
+    def _save(self, scored: DriveScores, path: Path) -> None:
         if path.suffix == SUFFIX:
-            scores_page(scored.results, self.args.metrics, scored.curves, scored.pictures, self.command).write(path)
+            scores_page([scored], self.args.metrics, self.command, Sample().room).write(path)
         else:
             table.save(scored.results, path)
         out.print(f"wrote {path}")
@@ -150,7 +135,7 @@ def run(arguments: list[str]) -> int:
     drives = by_drive(priors)
     output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + bool(files) > 1)
     if files:
-        output.show(Scored([Result.load(path) for path in files]))
+        output.show(DriveScores([Result.load(path) for path in files]))
     failed = [together for together in drives if not _try_drive(together, output)]
     return DATA_ERROR if failed else 0
 
@@ -180,25 +165,34 @@ def _try_drive(priors: list[Prior], output: Output) -> bool:
     return True
 
 
-def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scored:
+def _score_drive(priors: list[Prior], args: ScoreArguments) -> DriveScores:
     """Score the priors of one drive."""
     drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
-    against = None if args.against is None else cache.only(args.against)
-    pictures = picture_frames(drive, priors, names, args.frames) if args.page else []
-    scored = Scored([], {}, pictures)
-    for prior, name in zip(priors, names, strict=True):
-        pairs = pair(prior, drive, args.frames, against)
-        with progress(name, len(pairs)) as step:
-            one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step)
-        scored.results.append(one.result)
-        scored.left_out.update({f"{name}, frame {id_}": why for id_, why in pairs.left_out.items()})
-        if one.unsaved is not None:
-            scored.left_out[f"{name}, metrics.json"] = one.unsaved
+    scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive.name)
+    for name in names:
+        one = score_prior(scored, name, drive, args)
         if one.pixels is not None:
-            scored.curves[name] = one.curves()
             out.print(f"{name}: {_best_share(one)}")
             out.print(f"{name}: {_areas(scored.curves[name])}")
+    if args.page:
+        wipe = frames_wipe(drive, scored.priors, scored.results, Sample(), args.frames)
+        scored = replace(scored, wipe=wipe)
     return scored
+
+
+def score_prior(scored: DriveScores, name: str, drive: Drive, args: ScoreArguments) -> Score:
+    """Score one of the priors, and note its result, its curves, and what had to be left out."""
+    prior = scored.priors[name]
+    pairs = pair(prior, drive, args.frames, None if args.against is None else cache.only(args.against))
+    with progress(name, len(pairs)) as step:
+        one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step)
+    scored.results.append(one.result)
+    scored.left_out.update({f"{name}, frame {id_}": why for id_, why in pairs.left_out.items()})
+    if one.unsaved is not None:
+        scored.left_out[f"{name}, metrics.json"] = one.unsaved
+    if one.pixels is not None:
+        scored.curves[name] = one.curves()
+    return one
 
 
 def _protocol(args: ScoreArguments) -> Protocol:
