@@ -24,7 +24,7 @@ def _pull(total: Floats, weight: Floats) -> Floats:
     """Return weighted sums (h, w, c) of weights (h, w) in [0, 1], completed by the level of half the size."""
     height, width = weight.shape
     if height == width == 1 or weight.min() >= 1:
-        return total / np.maximum(weight, np.float32(1e-9))[..., None]
+        return (total / np.maximum(weight, np.float32(1e-9))[..., None]).astype(np.float32)
     below, share = _halved(total), _halved(weight[..., None])[..., 0]
     most = np.minimum(1, 1 / np.maximum(share, np.float32(1e-9)))
     coarse = _pull(below * most[..., None], share * most)
