@@ -1,14 +1,16 @@
 """`priors check`: audit a drive, or the maps of a cache."""
 
 from collections import Counter
+from contextlib import nullcontext
 
 from rich.text import Text
 
 from cli.arguments import DriveArguments, parse
 from cli.cache_audit import check_cache
-from cli.console import DATA_ERROR, out
+from cli.console import DATA_ERROR, busy, err, out, progress
 from priors.cache import holds_priors
 from priors.check import check
+from priors.check.audit import silent
 from priors.drives import fitting_data_sets
 
 EXAMPLES = """Audit a drive: calibration, missing scans, frame joins, stereo sign and vertical offset, pose continuity,
@@ -30,7 +32,8 @@ def run(arguments: list[str]) -> int:
     if args.data is not None and holds_priors(args.data) and not fitting_data_sets(args.data):
         return check_cache(args.data)
     drive = args.open(["priors", "check", *arguments])
-    findings = check(drive)
+    with nullcontext() if err.moves else busy("auditing"):  # in a pipe, what is done in two seconds is not told
+        findings = check(drive, progress=progress if err.moves else silent)
     for finding in findings:
         out.print(
             Text.assemble((f"{finding.level:<8}", STYLES[finding.level]), f"{finding.subject}: {finding.message}")
