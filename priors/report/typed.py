@@ -21,7 +21,7 @@ FILTERS = {
 
 
 def build_command(prior: Prior) -> str:
-    """Return the `priors build` that makes a prior anew: what was decided for 'auto' is named, since elsewhere it may differ."""
+    """Return the `priors build` that makes a prior anew: what was decided for 'auto' is named."""
     words = ["priors", "build", str(prior.drive.get("path", "DATA")), *_drive_flags(prior.drive)]
     words += ["--method", prior.method]
     if prior.method in methods.names():
