@@ -24,6 +24,7 @@ from nerf.scene import Scene
 from nerf.split import check_views, split
 from nerf.stack import Stack, StackWriter
 from priors.cache import Prior
+from priors.drives import poses_of
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.selection import parse_range, select
@@ -148,8 +149,7 @@ class _Preparation:
         """
         made_for = prior.manifest.get("fingerprint")
         if made_for is not None and made_for != self.drive.fingerprint():
-            other = f"made for {prior.drive.get('path')}, not for this {self.drive.name}"
-            raise DataError(f"{prior.folder}: {other}: build it anew")
+            raise DataError(f"{prior.folder}: {self._other(prior)}")
         stamps = {}
         for id_ in self.ids:
             with suppress(FileNotFoundError):
@@ -160,6 +160,13 @@ class _Preparation:
                 f"{prior.folder}: none of the {len(self.positions)} frames has a map: build the prior for them"
             )
         return stamps
+
+    def _other(self, prior: Prior) -> str:
+        """Say in what a prior's drive differs from this one, and what to do."""
+        made_with, these = poses_of(prior.drive), poses_of(self.drive.describe())
+        if made_with != these and prior.drive.get("path") == self.drive.describe().get("path"):
+            return f"made with {made_with} poses, these are {these}: --poses {made_with}, or build it anew"
+        return f"made for {prior.drive.get('path')}, not for this {self.drive.name}: build it anew"
 
     def maps(self, prior: Prior, stamps: dict[str, str]) -> tuple[Stack, Stack | None]:
         """Copy a prior's filtered maps into one file each, joined by frame id."""
