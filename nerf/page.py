@@ -1,6 +1,5 @@
 """The page of runs: their figures, held-out views to compare, the course of their fits, videos, settings, commands."""
 
-import json
 import math
 import shlex
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,8 @@ import numpy as np
 
 from eval import typeset
 from eval.typeset import Column, Table
+from nerf import journal
+from nerf.baseline import unbeaten
 from nerf.config import FitConfig
 from nerf.naming import labels
 from nerf.report import Report
@@ -103,7 +104,7 @@ def lay_out(names: Sequence[str], reports: Sequence[Report]) -> Table:
     columns = {key: column for key, column in COLUMNS.items() if key in have}
     caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
     remarks = list(dict.fromkeys(remark for each in reports for remark in each.remarks))
-    return typeset.lay_out(("run",), columns, rows, caption, remarks)
+    return typeset.lay_out(("run",), columns, rows, caption, remarks + unbeaten(names, reports))
 
 
 def key_figures(scored: FieldScores) -> KeyFigures | None:
@@ -149,7 +150,7 @@ def videos(scored: FieldScores) -> list[Clip | Paragraph]:
 
 def courses(names: Sequence[str], runs: Sequence[Run]) -> list[Plot]:
     """Plot the fits' logs, a line a run: what is drawn of each stands in COURSES."""
-    logs = [(name, _log(run.folder / "metrics.jsonl")) for name, run in zip(names, runs, strict=True)]
+    logs = [(name, _log(run.folder)) for name, run in zip(names, runs, strict=True)]
     plots = []
     for y, x, x_label, y_label in COURSES:
         drawn = [Line(name, *_means(log.get(x, NONE), log.get(y, NONE))) for name, log in logs]
@@ -238,15 +239,8 @@ def _unusual(values: Mapping[str, Any], usual: Mapping[str, Any], prefix: str = 
     return found
 
 
-def _log(path: Path) -> dict[str, np.ndarray[Any, Any]]:
-    """Read the columns of a fit's log, in the order of its steps; a resumed fit's later line replaces a step's."""
-    steps: dict[int, dict[str, float]] = {}
-    for text in path.read_text("utf-8").splitlines() if path.exists() else []:
-        try:
-            line = json.loads(text)
-        except ValueError:
-            continue  # cut off by a kill
-        steps[line["step"]] = line
-    rows = [steps[step] for step in sorted(steps)]
+def _log(run: Path) -> dict[str, np.ndarray[Any, Any]]:
+    """Read the columns of a fit's journal."""
+    rows = journal.read(run)
     common = set.intersection(*map(set, rows)) if rows else set()
     return {key: np.array([row[key] for row in rows], float) for key in sorted(common)}

@@ -7,8 +7,8 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import json
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -16,10 +16,10 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import checkpoint, origin
+from nerf import checkpoint, fields, journal, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
-from nerf.model import Model
+from nerf.model import Model, ShowsScene
 from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
@@ -35,12 +35,15 @@ from priors.errors import DataError
 from priors.filters import Filters
 from priors.machine import threads
 from priors.machine.device import pick_device
+from priors.owner.claim import Claim, hold, owner_of
 from priors.records import restore
 from priors.types import Drive
 
 FORMAT = 1
 CONFIG = "config.json"
 """What every run's folder has."""
+OWNER = ".owner"
+"""File in a run's folder that says which process fits it (priors/owner)."""
 SCENES = ".scenes"
 """Folder beside the runs that holds their prepared arrays, shared by all of them."""
 
@@ -110,9 +113,32 @@ class Run:
         Args:
             device: cpu, cuda, or auto: a GPU where there is one.
             on_step: called after each step.
+
+        Raises:
+            DataError: another process fits this run, or see nerf.fit.fit.
         """
-        model = fit(self.scene, self.config.fit, self.folder, on_step, pick_device(device))
+        with self.held() as claim:
+            _write(self.folder, self.config)  # of two that began at once, the one that trains has described the run
+            device = pick_device(device)
+            model = fit(self.scene, self.config.fit, self.folder, on_step, device, lambda: claim.lost)
         return PlacedModel(model, self.scene.origin_m)
+
+    @contextmanager
+    def held(self) -> Iterator[Claim]:
+        """Keep other processes from fitting this run while the block runs; a block within a block changes nothing.
+
+        Raises:
+            DataError: another process has it in hand.
+        """
+        if "_claim" in vars(self):
+            yield vars(self)["_claim"]
+            return
+        with hold(self.folder / OWNER, str(self.folder), by_launch=True) as claim:
+            vars(self)["_claim"] = claim
+            try:
+                yield claim
+            finally:
+                del vars(self)["_claim"]
 
     def report(self, device: str = "auto", lpips: Lpips | None = None, info: dict[str, Any] | None = None) -> Report:
         """Score the held-out views of the trained field, and write the report's files.
@@ -122,7 +148,7 @@ class Run:
             lpips: None leaves that figure out.
             info: what the report says was run; default: what a study wrote of this run, else its name and config.
         """
-        model = checkpoint.open_model(self.folder, pick_device(device))
+        model = self._model(device)
         truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
         subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
         with threads.limited(None), self.progress(f"views of {self.name}", len(self.scene.test)) as step:
@@ -130,8 +156,7 @@ class Run:
 
     def open_model(self, device: str = "auto") -> Model:
         """Load the trained field; it renders poses of the drive's own frame."""
-        model = checkpoint.open_model(self.folder, pick_device(device))
-        return PlacedModel(model, checkpoint.origin_of(self.folder) or origin.NONE)
+        return PlacedModel(self._model(device), checkpoint.origin_of(self.folder) or origin.NONE)
 
     def viewpoints(self, frames: str | None = None) -> Viewpoints:
         """Return where the drive's camera was, in a range of frames a:b; None: the run's."""
@@ -144,6 +169,13 @@ class Run:
             for id_, pose in zip(views.ids, views.T_world_cam, strict=True):
                 save_view(folder, id_, model.render(pose, views.camera))
                 step()
+
+    def _model(self, device: str) -> Model:
+        """Load the trained field in the scene's frame; one that shows the run's own frames is given them."""
+        model = checkpoint.open_model(self.folder, pick_device(device))
+        if isinstance(model, ShowsScene):
+            model.show(self.scene)
+        return model
 
     def _info(self) -> dict[str, Any]:
         """Return what a study wrote of the run, so that it still finds it done; else the run's name and config."""
@@ -179,26 +211,38 @@ def begin(
     """
     scene, fit = scene or SceneConfig(), fit or FitConfig()
     if folder is None:
-        parts = [] if prior is None else [fit.losses.loss, prior.name]
+        loss = [fit.losses.loss] if fields.is_trained(fit.model.family) else []
+        parts = [] if prior is None else [*loss, prior.name]
         folder = Path("runs") / "-".join([drive.name, fit.model.family, scene.views, *parts])
     return replace(claim(folder, RunConfig.of(drive, prior, scene, fit)), progress=progress, source=drive)
 
 
 def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
-    """Begin a run in a folder, or go on with the same one; DataError where another run was trained in it.
+    """Begin a run in a folder, or go on with the same one.
 
     A run that had another budget goes on as well, at the new budget's learning rate; with `same_budget` it is begun
     anew, so that figures are those of the budget that is asked for.
+
+    Raises:
+        DataError: another run was trained in it, or another process trains this one.
     """
     path = folder / CONFIG
+    _refuse_taken(folder)
     before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
     if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
-        for name in (checkpoint.NAME, "metrics.jsonl", "metrics.json"):
+        for name in (checkpoint.NAME, journal.NAME, "metrics.json"):
             (folder / name).unlink(missing_ok=True)
     _write(folder, config)
     return Run(folder, config)
+
+
+def _refuse_taken(folder: Path) -> None:
+    """Refuse a folder before anything in it is written: another process may train in it."""
+    owner = owner_of(folder / OWNER)
+    if owner is not None and not (owner.process and (owner.process.is_me or owner.process.is_partner)):
+        raise DataError(f"{folder}: {owner}, fits this run: wait for it, stop it, or choose another --run")
 
 
 def open_run(folder: Path) -> Run:

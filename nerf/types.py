@@ -158,6 +158,17 @@ class Target(NamedTuple):
     """Standard deviation, metres."""
 
 
+class Extent(NamedTuple):
+    """How large a space is: what nerf.twin.space, `stretch`, needs."""
+
+    kind: int
+    """BOX, BALL or SPHERES."""
+    mean_m: float
+    """Geometric mean of the half extents, metres."""
+    farthest: float
+    """|place| beyond which places are pulled back."""
+
+
 class Spacing(NamedTuple):
     """How depth along each ray is spaced: nerf.twin.space, `spacing` and `depth`, map it to s in [0, 1] and back."""
 

@@ -8,7 +8,7 @@ from typing import Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse
+from cli.arguments import Device, DriveArguments, ThreadArguments, find_priors, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName, seconds
@@ -18,7 +18,6 @@ from nerf.config import FitConfig
 from nerf.losses import LossConfig
 from nerf.split import check_views
 from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, run_study
-from priors import cache
 from priors.errors import LARGEST_SEED, expect_between
 from priors.filters import Filters
 from priors.selection import parse_range
@@ -91,7 +90,7 @@ class StudyArguments(ThreadArguments, DriveArguments):
     def grid(self) -> Study:
         """Return the grid that was asked for."""
         folders = [
-            [NONE] if str(path) == NONE else [str(prior.folder) for prior in cache.find(path)] for path in self.priors
+            [NONE] if str(path) == NONE else [str(prior.folder) for prior in find_priors(path)] for path in self.priors
         ]
         masks = {"no": (False,), "yes": (True,), "both": (False, True)}[self.truth_mask]
         return Study(
@@ -155,7 +154,7 @@ def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
     parts += ["--frames", args.frames] if args.frames else []
     if spec.prior != NONE:
-        parts += ["--prior", spec.prior, "--loss", str(spec.loss)]
+        parts += ["--prior", spec.prior, *(["--loss", spec.loss] if spec.loss else [])]
         record = {name: value for name, value in asdict(spec).items() if name in SHARES}
         parts += [word for name, value in record.items() if value is not None for word in (f"--{name}", f"{value:g}")]
         parts += ["--truth-mask"] if spec.truth_mask else []
