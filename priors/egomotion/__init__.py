@@ -1,1 +1,1 @@
-"""Ego motion as images see it: corners followed between frames, the motion of a pair of frames, and of a whole drive."""
+"""Ego motion as images see it: corners followed between frames, motions, residual flow, refined poses of a drive."""

@@ -31,6 +31,10 @@ class Corners(NamedTuple):
     """(n, 2) in the first image."""
     end_px: Floats
     """(n, 2) in the other image."""
+    camera: Camera
+    """Of both."""
+    fx_baseline: float | None
+    """See Sight."""
 
 
 def follow(this: Sight, other: Sight, T_other_this: Matrix | None = None) -> Corners:
@@ -49,7 +53,7 @@ def follow(this: Sight, other: Sight, T_other_this: Matrix | None = None) -> Cor
     xyz_m = rays * this.depth_m[row, column].astype(np.float64)[:, None]
     expected_px = start_px if T_other_this is None else _expect(xyz_m, start_px, other.camera, T_other_this)
     end_px, sure = track(this.grey, other.grey, start_px, expected_px)
-    return Corners(xyz_m[sure], start_px[sure], end_px[sure])
+    return Corners(xyz_m[sure], start_px[sure], end_px[sure], this.camera, this.fx_baseline)
 
 
 def _expect(xyz_m: Floats, start_px: Floats, camera: Camera, T_other_this: Matrix) -> Floats:

@@ -24,8 +24,8 @@ ROUNDS = 10
 TRACK_PX, MATCH_PX, RANGE = 0.15, 0.3, 0.01
 """How far off corners are: the tracker, the disparity of a pair, and a LiDAR's depth as a share."""
 LENGTH, SHARED_M, SHARED_RAD = 0.02, 1e-3, 1e-4
-"""What all corners of a pair of frames are off together, which does not average out: a share of the way, along it (a pair
-whose disparities are off makes all ways longer or shorter), a shift and a turn."""
+"""What all corners of two frames are off together, which does not average out: a share of the way, along it (wrong
+disparities make all ways longer or shorter), a shift and a turn."""
 
 
 class SeenMotion(NamedTuple):
@@ -37,21 +37,15 @@ class SeenMotion(NamedTuple):
     """(6, 6) of what is multiplied to it from the right: shift, metres, then turn, radians."""
 
 
-def see(corners: Corners, camera: Camera, fx_baseline: float | None) -> SeenMotion | None:
-    """Return the motion that corners show; None where too few agree on one.
-
-    Args:
-        corners: of this frame, followed into the other.
-        camera: of both.
-        fx_baseline: focal length times baseline, px m, where a pair told the depth; None: a LiDAR did.
-    """
-    T_other_this = _first_guess(corners, camera)
+def see(corners: Corners) -> SeenMotion | None:
+    """Return the motion that corners of this frame, followed into the other, show; None where too few agree on one."""
+    T_other_this = _first_guess(corners, corners.camera)
     if T_other_this is None:
         return None
-    sigma_px = _spread_px(corners, fx_baseline)
+    sigma_px = _spread_px(corners)
     for _ in range(ROUNDS):
         xyz_m = corners.xyz_m @ T_other_this[:3, :3].T + T_other_this[:3, 3]
-        residual_px, J = _reproject(xyz_m, corners.end_px, camera)
+        residual_px, J = _reproject(xyz_m, corners.end_px, corners.camera)
         weight = 1 / (sigma_px**2 + np.square(residual_px).sum(axis=1))  # Cauchy's, of residual over sigma
         normal = np.einsum("nki,n,nkj->ij", J, weight, J)
         step = np.linalg.solve(normal, np.einsum("nki,n,nk->i", J, weight, residual_px))
@@ -88,13 +82,13 @@ def _first_guess(corners: Corners, camera: Camera) -> Matrix | None:
     return T
 
 
-def _spread_px(corners: Corners, fx_baseline: float | None) -> Floats:
+def _spread_px(corners: Corners) -> Floats:
     """Return how far off each corner's place is expected to be (n,), px: by the tracker, and by its depth's error.
 
     A depth that is wrong by a share moves the place by that share of the way across the image.
     """
     z = corners.xyz_m[:, 2]
-    share = np.full_like(z, RANGE) if fx_baseline is None else MATCH_PX * z / fx_baseline
+    share = np.full_like(z, RANGE) if corners.fx_baseline is None else MATCH_PX * z / corners.fx_baseline
     return np.hypot(TRACK_PX, share * np.linalg.norm(corners.end_px - corners.start_px, axis=1))
 
 
@@ -108,4 +102,3 @@ def _reproject(xyz_m: Floats, end_px: Floats, camera: Camera) -> tuple[Floats, F
     by_point = np.stack([fx / z, zero, -fx * x / z**2, zero, fy / z, -fy * y / z**2], axis=1).reshape(-1, 2, 3)
     turned = np.stack([zero, z, -y, -z, zero, x, y, -x, zero], axis=1).reshape(-1, 3, 3)  # d(turn x point) / d turn
     return end_px - uv_px, np.concatenate([by_point, by_point @ turned], axis=2)
-

@@ -50,6 +50,10 @@ class Eyes:
         return _by_pair(frame, self.error) if self.source == "stereo" else _by_sweep(frame)
 
 
+Look: TypeAlias = Callable[[Frame], Sight]
+"""Looks at a frame; DataError where that cannot be done."""
+
+
 def open_eyes(drive: Drive, source: Source | Literal["auto"] = "auto") -> Eyes:
     """Choose what tells depth, and measure a pair's rectification error on the first frame that has one.
 
@@ -118,8 +122,5 @@ def halve_camera(camera: Camera) -> Camera:
 
 def shrink(error: RectificationError, scale: int) -> RectificationError:
     """Return a rectification error in the pixels of images that are `scale` times as small."""
-    return RectificationError(*(value / scale for value in error.offset_px), error.scale)
-
-
-Look: TypeAlias = Callable[[Frame], Sight]
-"""Looks at a frame; DataError where that cannot be done."""
+    shift, tilt, yaw, pitch = (value / scale for value in error.offset_px)
+    return RectificationError(shift, tilt, yaw, pitch, error.scale)
