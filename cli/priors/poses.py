@@ -14,8 +14,8 @@ from priors.errors import UsageError
 from priors.selection import select
 
 EXAMPLES = """Refine a drive's poses by the motion that its stereo pairs, or its LiDAR and images, see between frames,
-fused with its own poses so that the path does not drift. Other commands take them by --poses refined. Every 10th frame, which
-`nerf fit` holds out, has no part in it: its pose follows from its neighbours.
+fused with its own poses so that the path does not drift. Other commands take them by --poses refined. Every 10th frame,
+which `nerf fit` holds out, has no part in it: its pose follows from its neighbours.
 
 examples:
   priors poses street/

@@ -54,6 +54,8 @@ class DriveOptions:
 
     def __post_init__(self) -> None:
         expect_choices(self, "")
+        beside = self.poses == "refined" or self.poses_from == CACHE
+        expect(beside, "--poses-from", self.poses_from, "--poses refined beside it")
         expect(self.drive != "", "--drive", "''", "a name, or leave it out")
         expect(self.camera != "", "--camera", "''", "a name, or leave it out")
 

@@ -67,7 +67,8 @@ def refine(
     for (this, other), corners in followed.items():
         motion = see(corners)
         if motion is not None:
-            seen.append(Edge(this, other, motion.T_this_other, np.linalg.inv(motion.covariance)))
+            information = np.linalg.inv(motion.covariance).astype(np.float64)
+            seen.append(Edge(this, other, motion.T_this_other, information))
     if not seen:
         raise DataError("no motion can be seen between any two frames: are they of one drive, and sharp?")
     refined = solve(recorded, [*_places(recorded), *_steps(recorded), *seen])
@@ -100,7 +101,8 @@ def _follow(
 
 
 def _places(recorded: Sequence[Matrix]) -> list[Edge]:
-    information: Matrix = np.diag(np.array([PLACE_M] * 3 + [PLACE_RAD] * 3, dtype=np.float64) ** -2)
+    deviations = np.array([PLACE_M] * 3 + [PLACE_RAD] * 3, dtype=np.float64)
+    information: Matrix = np.diag(1 / np.square(deviations))
     return [Edge(None, n, T, information) for n, T in enumerate(recorded)]
 
 
