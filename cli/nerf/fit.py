@@ -114,11 +114,11 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
     return 0
 
 
-def seconds(text: str) -> float:
-    """Turn 90s, 5m or 1h into seconds."""
+def seconds(text: str, flag: str = "--time") -> float:
+    """Turn 90s, 5m or 1h into seconds; `flag` is named where it cannot be done."""
     try:
         value = float(text[:-1]) * UNITS_S[text[-1]] if text[-1:] in UNITS_S else float(text)
     except ValueError as error:
-        raise UsageError(f"--time {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
-    expect(0 < value <= MOST_S, "--time", text, "more than 0, and less than a year")
+        raise UsageError(f"{flag} {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
+    expect(0 < value <= MOST_S, flag, text, "more than 0, and less than a year")
     return value
