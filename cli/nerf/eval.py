@@ -68,6 +68,9 @@ class ReportArguments(ThreadArguments):
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
 
 
+ARGUMENTS = {"nerf eval": ReportArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ReportArguments, "nerf eval", EXAMPLES, arguments)

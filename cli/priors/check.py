@@ -19,6 +19,9 @@ examples:
 STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "fatal": "bold red"}
 
 
+ARGUMENTS = {"priors check": DriveArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Audit; returns the exit code."""
     drive = parse(DriveArguments, "priors check", EXAMPLES, arguments).open(["priors", "check", *arguments])

@@ -154,6 +154,9 @@ class Output:
         return path.with_name(f"{path.stem}-{drive}{path.suffix}") if self.several and drive else path
 
 
+ARGUMENTS = {"priors eval": ScoreArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ScoreArguments, "priors eval", EXAMPLES, arguments)
