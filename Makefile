@@ -20,12 +20,18 @@ $(VENV)/.dev: $(VENV)/.installed
 	$(PIP) --editable .[dev]
 	touch $@
 
-demo: $(VENV)/.installed  ## the embedded street: written, turned into three priors, scored, drawn, reported
-	$(BIN)/priors street $(DEMO)/street --frames 12 --size 1242x375
-	for method in lidar completion stereo; do \
+demo: $(VENV)/.installed  ## the whole story on the embedded street: four priors, their table, a field without and with one, a page
+	$(BIN)/priors street $(DEMO)/street --frames 30 --size 416x128
+	for method in lidar completion stereo mono; do \
 		$(BIN)/priors build $(DEMO)/street --method $$method --cache $(DEMO)/cache || exit 1; done
-	$(BIN)/priors eval $(DEMO)/cache --save $(DEMO)/table.md $(DEMO)/report.html
-	$(BIN)/priors show $(DEMO)/cache --frames 5 --out $(DEMO)/pictures
+	$(BIN)/priors eval $(DEMO)/cache --save $(DEMO)/table.md
+	$(BIN)/nerf fit $(DEMO)/street --views sparse --steps 800 --run $(DEMO)/runs/colours-alone
+	$(BIN)/nerf fit $(DEMO)/street --views sparse --steps 800 --run $(DEMO)/runs/with-stereo \
+		--prior $$(ls -d $(DEMO)/cache/*/stereo-*)
+	[ -f $(DEMO)/runs/with-stereo/video.mp4 ] || \
+		$(BIN)/nerf video $(DEMO)/runs/with-stereo --steps 1 --fps 10
+	$(BIN)/nerf report $(DEMO)/runs --cache $(DEMO)/cache --out $(DEMO)/report.html
+	@echo "open $(DEMO)/report.html in a browser"
 
 test: $(VENV)/.dev  ## the quick tests
 	$(BIN)/python -m pytest -m "not slow and not browser"

@@ -11,15 +11,16 @@ from safetensors import torch as tensors
 from torch import Tensor
 
 from eval.files import write_bytes
-from nerf import fields
+from nerf import fields, origin
 from nerf.config import ModelConfig
 from nerf.model import Model
+from nerf.origin import Offset
 from priors.errors import DataError
 from priors.records import restore
 
 NAME = "checkpoint.safetensors"
 FORMAT = "1"
-_OURS = ("format", "config", "progress")
+_OURS = ("format", "config", "progress", "origin_m")
 """What the metadata hold besides the model's own record."""
 
 
@@ -31,9 +32,13 @@ class Spent:
     elapsed_s: float = 0.0
 
 
-def save(run: Path, model: Model, spent: Spent) -> None:
-    """Write the run's checkpoint; a full disk or a kill leaves the one before."""
+def save(run: Path, model: Model, spent: Spent, origin_m: Offset = origin.NONE) -> None:
+    """Write the run's checkpoint; a full disk or a kill leaves the one before.
+
+    `origin_m` is the scene's; earlier checkpoints and those of drives near zero have none.
+    """
     described = {"config": asdict(model.config), "progress": asdict(spent)} | model.record()
+    described |= {} if origin_m == origin.NONE else {"origin_m": origin_m}
     metadata = {"format": FORMAT} | {name: json.dumps(value) for name, value in described.items()}
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state().items()}
     write_bytes(run / NAME, tensors.save(whole, metadata))
@@ -57,7 +62,15 @@ def resume(run: Path, model: Model) -> Spent:
 
 def spent(run: Path) -> Spent:
     """Return how much a run's checkpoint has spent; nothing where there is none."""
-    return restore(Spent, json.loads(_read(run)[1]["progress"])) if (run / NAME).exists() else Spent()
+    return restore(Spent, json.loads(_metadata(run)["progress"])) if (run / NAME).exists() else Spent()
+
+
+def origin_of(run: Path) -> Offset | None:
+    """Return the origin of the scene that a run's checkpoint was trained on; None where there is no checkpoint."""
+    if not (run / NAME).exists():
+        return None
+    x, y, z = json.loads(_metadata(run).get("origin_m", "[0, 0, 0]"))
+    return float(x), float(y), float(z)
 
 
 def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
@@ -72,7 +85,7 @@ def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
         record = {name: json.loads(text) for name, text in metadata.items() if name not in _OURS}
         return fields.family(config.family).open(config, record, state, str(device))
     except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{run / NAME}: damaged checkpoint ({error}): delete it and train again") from error
+        raise _damaged(run / NAME, error) from error
 
 
 def digest(run: Path) -> str:
@@ -88,13 +101,25 @@ def _path(run: Path) -> Path:
 
 
 def _read(run: Path) -> tuple[dict[str, Tensor], dict[str, str]]:
+    metadata, path = _metadata(run), _path(run)
+    try:
+        return tensors.load_file(path), metadata
+    except (SafetensorError, OSError) as error:
+        raise _damaged(path, error) from error
+
+
+def _metadata(run: Path) -> dict[str, str]:
+    """Read what stands before the tensors."""
     path = _path(run)
     try:
         with safe_open(path, "pt") as file:
-            metadata = file.metadata() or {}
-        state = tensors.load_file(path)
+            metadata: dict[str, str] = file.metadata() or {}
     except (SafetensorError, OSError) as error:
-        raise DataError(f"{path}: damaged checkpoint ({error}): delete it and train again") from error
+        raise _damaged(path, error) from error
     if metadata.get("format") != FORMAT:
         raise DataError(f"{path}: checkpoint format {metadata.get('format')}, expected {FORMAT}: train again")
-    return state, metadata
+    return metadata
+
+
+def _damaged(path: Path, error: Exception) -> DataError:
+    return DataError(f"{path}: damaged checkpoint ({error}): delete it and train again")

@@ -1,4 +1,8 @@
-"""Export: a coloured point cloud, and a mesh through open3d."""
+"""Export: a coloured point cloud, and a mesh through open3d.
+
+Both are made in float32 near the path and written in the drive's own frame: where that is far from its zero, an origin
+is taken off the poses and put back in float64 (nerf/origin.py).
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +15,8 @@ import numpy.typing as npt
 
 from eval.files import write_bytes
 from eval.image import as_uint8
+from nerf import origin
+from nerf.origin import Offset
 from nerf.types import OPAQUE, Render, RenderedView
 from priors.errors import DataError
 from priors.export import triangles
@@ -21,6 +27,8 @@ from priors.types import Camera, Depth, FloatMap, Matrix
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
 )  # fmt: skip
+FAR_POINT = np.dtype([(name, "<f8" if name in "xyz" else POINT[name]) for name in POINT.names or ()])
+"""A point of a drive far from zero."""
 BLOCK_VOXELS, FIRST_BLOCKS, TRUNCATION_VOXELS = 16, 10_000, 4.0
 Points: TypeAlias = npt.NDArray[np.void]
 Poses = npt.NDArray[np.float64]
@@ -60,20 +68,21 @@ def write_cloud(
     if path.suffix.lower() != ".ply":
         raise DataError(f"{path}: expected a name that ends in .ply")
     kept, depth_m = np.zeros(0, POINT), np.zeros(0, np.float32)
-    for pose in T_world_cam:
-        points, points_m = view_points(render(pose, camera), camera, pose, config)
+    origin_m = origin.origin_of(T_world_cam)
+    for pose, near_pose in zip(T_world_cam, origin.without(origin_m, T_world_cam), strict=True):
+        points, points_m = view_points(render(pose, camera), camera, near_pose, config)
         points, points_m = np.concatenate([kept, points]), np.concatenate([depth_m, points_m])
         first = nearest(cells_of(points, config.voxel_m), points_m)
         kept, depth_m = points[first], points_m[first]
         on_view()
-    write_ply(path, kept)
+    write_ply(path, kept, origin_m)
     return len(kept)
 
 
 def view_points(
     view: RenderedView, camera: Camera, T_world_cam: Matrix, config: CloudConfig
 ) -> tuple[Points, FloatMap]:
-    """Return a view's pixels as world points (n,) POINT, metres, and their depths (n,), metres."""
+    """Return a view's pixels as points (n,) POINT of the pose's frame, metres, and their depths (n,), metres."""
     depth = _solid_depth(view, config)
     xyz = (rays(camera)[depth.valid] * depth.depth_m[depth.valid, None]) @ T_world_cam[:3, :3].T + T_world_cam[:3, 3]
     points = np.zeros(len(xyz), POINT)
@@ -100,10 +109,14 @@ def cells_of(points: Points, voxel_m: float) -> npt.NDArray[np.int64]:
     return number
 
 
-def write_ply(path: Path, points: Points) -> None:
-    """Write points (n,) POINT as binary little-endian PLY, atomically."""
-    kinds = {"<f4": "float", "|u1": "uchar"}
-    properties = [f"property {kinds[POINT[name].str]} {name}" for name in POINT.names or ()]
+def write_ply(path: Path, points: Points, origin_m: Offset = origin.NONE) -> None:
+    """Write points (n,) POINT as binary little-endian PLY, atomically; far from zero their places are doubles."""
+    if origin_m != origin.NONE:
+        points = points.astype(FAR_POINT)
+        for name, offset_m in zip("xyz", origin_m, strict=True):
+            points[name] += offset_m
+    kinds = {"<f4": "float", "<f8": "double", "|u1": "uchar"}
+    properties = [f"property {kinds[points.dtype[name].str]} {name}" for name in POINT.names or ()]
     lines = ["ply", "format binary_little_endian 1.0", "comment metres, in the drive's world frame"]
     lines += [f"element vertex {len(points)}", *properties, "end_header"]
     write_bytes(path, "".join(f"{line}\n" for line in lines).encode() + points.tobytes())
@@ -128,18 +141,18 @@ def write_mesh(
     # open3d cuts a point's pixel off to whole numbers: its pixels' centres are at (0.5, 0.5), ours at (0, 0).
     K = matrix(camera.K + np.array([[0, 0, 0.5], [0, 0, 0.5], [0, 0, 0]]))
     limits = 1.0, float(config.farthest_m), TRUNCATION_VOXELS  # depth units a metre; open3d takes no int
-    fused = 0
-    for pose in T_world_cam:
+    fused, origin_m = 0, origin.origin_of(T_world_cam)
+    for pose, near_pose in zip(T_world_cam, origin.without(origin_m, T_world_cam), strict=True):
         view = render(pose, camera)
         taken = _solid_depth(view, config)
         if taken.valid.any():  # open3d refuses a view without a value
             depth, rgb = image(taken.depth_m), image(np.clip(view.rgb, 0, 1).astype(np.float32))
-            extrinsic = matrix(invert(pose))
+            extrinsic = matrix(invert(near_pose))
             blocks = grid.compute_unique_block_coordinates(depth, K, extrinsic, *limits)
             grid.integrate(blocks, depth, rgb, K, K, extrinsic, *limits)
             fused += 1
         on_view()
-    mesh = _triangles(grid) if fused else None
+    mesh = _triangles(grid, origin_m) if fused else None
     if mesh is None or not len(mesh.faces):
         raise DataError(
             f"{path}: no surface in {len(T_world_cam)} views within {config.farthest_m:g} m: nothing to write"
@@ -148,13 +161,13 @@ def write_mesh(
     return len(mesh.faces)
 
 
-def _triangles(grid: Any) -> Triangles:
-    """Take the surface out of open3d's volume."""
+def _triangles(grid: Any, origin_m: Offset) -> Triangles:
+    """Take the surface out of open3d's volume, whose frame begins at the origin."""
     mesh = grid.extract_triangle_mesh(weight_threshold=0.5)  # one view is enough
     mesh.compute_vertex_normals()
     vertex = {name: mesh.vertex[name].numpy() for name in ("positions", "normals", "colors")}
     colours = np.rint(255 * np.clip(vertex["colors"], 0, 1)).astype(np.uint8)
-    return Triangles(vertex["positions"], vertex["normals"], colours, mesh.triangle.indices.numpy())
+    return Triangles(vertex["positions"], vertex["normals"], colours, mesh.triangle.indices.numpy(), origin_m)
 
 
 def _open3d() -> Any:

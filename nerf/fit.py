@@ -6,17 +6,19 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TextIO
 
 from torch import Tensor
 
-from nerf import fields
-from nerf.checkpoint import Spent, resume, save
+from nerf import fields, journal
+from nerf.checkpoint import Spent, resume
 from nerf.config import FitConfig
-from nerf.model import Model
+from nerf.finite import NotFiniteError, bad_terms, cause
+from nerf.keeper import Keeper, LostError
+from nerf.model import Model, StepResult
 from nerf.scene import Scene
 from priors.machine import threads
 
-SAVE_EVERY_S = 30.0
 LOG_EVERY = 20
 
 
@@ -61,12 +63,17 @@ OnStep = Callable[[Status], None]
 
 @threads.quiet()
 def fit(
-    scene: Scene, config: FitConfig, run: Path, on_step: OnStep = lambda status: None, device: str = "cpu"
+    scene: Scene,
+    config: FitConfig,
+    run: Path,
+    on_step: OnStep = lambda status: None,
+    device: str = "cpu",
+    lost: Callable[[], bool] = lambda: False,
 ) -> Model:
     """Train until the budget is spent, or go on where the run's checkpoint left off.
 
-    Checkpoints are written every SAVE_EVERY_S seconds, at the end, and when interrupted; metrics.jsonl gets a line
-    every LOG_EVERY steps.
+    Checkpoints are written soon after the beginning, then every half minute (nerf/keeper.py), at the end, and when
+    interrupted; metrics.jsonl gets a line every LOG_EVERY steps.
 
     Args:
         scene: what is learned.
@@ -74,32 +81,63 @@ def fit(
         run: the run's folder.
         on_step: called after each step.
         device: cpu, or a GPU as torch names it.
+        lost: tells whether another process has taken the folder over.
 
     Raises:
-        DataError: there is no such family, or the run's checkpoint is damaged or was made with other settings.
+        DataError: there is no such family, or the run's checkpoint is damaged or was made with other settings; the
+            loss is not finite any more; or the run is another process's now.
     """
     model = fields.family(config.model.family).start(scene, config, device)
     done = resume(run, model)
-    step, elapsed = done.step, done.elapsed_s
-    saved = time.perf_counter()
-    clock = saved - elapsed
     run.mkdir(parents=True, exist_ok=True)
-    log = (run / "metrics.jsonl").open("a", buffering=1, encoding="utf-8")
+    journal.cut(run, done.step)
+    keeper = Keeper(run, model, scene.origin_m, done, lost)
+    with (run / journal.NAME).open("a", buffering=1, encoding="utf-8") as log:
+        try:
+            _train(scene, config, keeper, log, on_step)
+        except NotFiniteError as error:
+            raise NotFiniteError(f"{scene.name}: {error}: {cause(scene, config)}; {_left(keeper)}") from error
+    return model
+
+
+def _train(scene: Scene, config: FitConfig, keeper: Keeper, log: TextIO, on_step: OnStep) -> None:
+    """Take the steps that are left; where one fails or is interrupted, those before it are kept."""
+    spent, clock = keeper.kept, time.perf_counter() - keeper.kept.elapsed_s
     try:
-        while (progress := config.progress(step, elapsed)) < 1:
-            result = model.train(scene, config, step, progress)
-            now = time.perf_counter()
-            step, took, elapsed = step + 1, now - clock - elapsed, now - clock
-            share = config.progress(step, elapsed)
-            status = Status(step, elapsed, share, result.terms, result.total, result.rays, result.samples, took)
-            if step % LOG_EVERY == 0:
+        while (progress := config.progress(spent.step, spent.elapsed_s)) < 1:
+            result = keeper.model.train(scene, config, spent.step, progress)
+            before, spent = spent, Spent(spent.step + 1, time.perf_counter() - clock)
+            _look(result, spent.step)
+            status = _status(config, before, spent, result)
+            if spent.step % LOG_EVERY == 0:
                 log.write(status.line())
             on_step(status)
-            if now - saved > SAVE_EVERY_S:
-                save(run, model, Spent(step, elapsed))
-                saved = now
-    finally:
-        log.close()
-        if step > done.step:
-            save(run, model, Spent(step, elapsed))
-    return model
+            keeper.keep_if_due(spent)
+    except (NotFiniteError, LostError):
+        raise  # what was kept last is the last good one
+    except BaseException:
+        keeper.keep(spent)
+        raise
+    keeper.keep(spent)
+
+
+def _look(result: StepResult, step: int) -> None:
+    """Stop where a loss is no number. Looking waits for a GPU, so there it is done only where a line is written."""
+    if result.total.device.type == "cpu" or step % LOG_EVERY == 0:
+        bad = bad_terms(result)
+        if bad:
+            told = ", ".join(f"{name} {value:g}" for name, value in bad.items())
+            raise NotFiniteError(f"the loss is not finite at step {step} ({told})")
+
+
+def _status(config: FitConfig, before: Spent, spent: Spent, result: StepResult) -> Status:
+    share = config.progress(spent.step, spent.elapsed_s)
+    took_s = spent.elapsed_s - before.elapsed_s
+    return Status(spent.step, spent.elapsed_s, share, result.terms, result.total, result.rays, result.samples, took_s)
+
+
+def _left(keeper: Keeper) -> str:
+    """Say what there is to go on from."""
+    if keeper.kept.step == 0:
+        return "nothing was kept"
+    return f"the checkpoint of step {keeper.kept.step} is kept"

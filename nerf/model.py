@@ -30,9 +30,11 @@ class StepResult:
 
 
 class Model(Protocol):
-    """A model of one scene."""
+    """A model of one scene; poses are in the scene's frame (nerf/origin.py)."""
 
-    config: ModelConfig
+    @property
+    def config(self) -> ModelConfig:
+        """What was trained."""
 
     def train(self, scene: Scene, config: FitConfig, step: int, progress: float) -> StepResult:
         """Draw a batch, go forward and back, and move the parameters.

@@ -23,6 +23,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from nerf.kernels import kernels_for
 from nerf.kernels.cpu import sample as compiled
 from nerf.scene import Scene
 from nerf.space import Space
@@ -62,6 +63,8 @@ class Occupancy:
         """uint8, 1: may be kept; the others are carved away for good."""
         self.thickness = torch.full(shape, -1.0, device=device)
         """float32, optical thickness of a cell as last seen, decaying; -1: never looked at."""
+        self._kernels = kernels_for(self.kept.device).sample
+        self._known: tuple[int, Tensor] | None = None
 
     @classmethod
     def carve(
@@ -115,20 +118,17 @@ class Occupancy:
             key: seed and step: they choose the cells and the places in them.
             probes: how many cells; m is always this.
         """
-        candidates = torch.nonzero(self.allowed.reshape(-1))[:, 0]
+        candidates = self._candidates()
         if not len(candidates):
             return
         generator = np.random.Generator(np.random.Philox(key=list(key), counter=[0, 0, 0, _STREAM]))
-        kept = candidates[self.kept.reshape(-1)[candidates] > 0]
+        kept = _places_of(self.kept)
         half = probes // 2 if len(kept) else 0
         chosen = [_draw(generator, kept, half), _draw(generator, candidates, probes - half)]
         u, table = self._inside(torch.cat(chosen), generator)
         self._note(u, table, density(u, table))
         if key[1] >= WARM_UP:
-            measured = self.thickness >= 0
-            limit = min(THIN, float(self.thickness[measured].mean()))
-            thick = (self.thickness > limit) | ~measured
-            self.kept.copy_(thick.to(torch.uint8) & self.allowed)
+            self._kernels.prune(self.thickness, self.allowed, THIN, self.kept)
 
     def state(self) -> dict[str, Tensor]:
         """Return what `load` needs to go on bit for bit."""
@@ -167,11 +167,14 @@ class Occupancy:
 
     def _note(self, u: Tensor, table: Tensor, sigma: Tensor) -> None:
         """Let the cells at u (m, 3) decay once and rise to the thickness found there."""
-        thickness = sigma.to(torch.float32) * self.space.stretch_m(u, table) / self.resolution
-        cell = cells(u, table, self.resolution)
-        flat = self.thickness.view(-1)
-        flat[cell] = flat[cell] * DECAY
-        flat.scatter_reduce_(0, cell, thickness, "amax")
+        self._kernels.note(self.thickness, u, table, sigma, self.space.extent, DECAY)
+
+    def _candidates(self) -> Tensor:
+        """Return the flat places of the allowed cells, ascending; they change when `allowed` is set, and only then."""
+        version = self.allowed._version
+        if self._known is None or self._known[0] != version:
+            self._known = version, _places_of(self.allowed)
+        return self._known[1]
 
 
 def _thinned(scene: Scene, position: int, trust: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -205,6 +208,11 @@ def _dilated(grid: Mask, resolution: int) -> Mask:
 
     tables = grid.reshape(-1, resolution, resolution, resolution)
     return np.stack([maximum_filter(table, 3) for table in tables]).reshape(-1)
+
+
+def _places_of(marked: Tensor) -> Tensor:
+    """Return the flat places (n,) of the cells, uint8, that are 1, ascending."""
+    return torch.nonzero(marked.view(torch.bool).view(-1)).view(-1)
 
 
 def _draw(generator: np.random.Generator, candidates: Tensor, count: int) -> Tensor:

@@ -18,10 +18,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.files import write_bytes
+from nerf import origin
+from nerf.origin import Offset
 from nerf.scene import Scene
 from nerf.split import check_views, split
 from nerf.stack import Stack, StackWriter
 from priors.cache import Prior
+from priors.drives import poses_of
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.selection import parse_range, select
@@ -55,9 +58,22 @@ def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]
 
 
 def open_scene(
-    drive: Drive, prior: Prior | None, config: SceneConfig, folder: Path, progress: ProgressBar = silent
+    drive: Drive,
+    prior: Prior | None,
+    config: SceneConfig,
+    folder: Path,
+    progress: ProgressBar = silent,
+    origin_m: Offset | None = None,
 ) -> Scene:
     """Prepare a drive and a prior for training in a folder, or open what was prepared there before.
+
+    Args:
+        drive: its frames.
+        prior: its maps; None: colours alone.
+        config: which frames, and what the prior passes.
+        folder: where the arrays are kept.
+        progress: shows what is prepared.
+        origin_m: what a run that goes on took off the positions; None: chosen for these frames (nerf/origin.py).
 
     Raises:
         DataError: frames lack poses, poses jump, or the prior was made for another drive or camera, or has no frame
@@ -76,7 +92,9 @@ def open_scene(
             raise DataError(f"{prior.folder}: {lack}: build or filter it anew")
     camera, poses = Camera(np.array(record["K"]), tuple(record["size"])), np.array(record["T_world_cam"])
     images = Stack(preparation.home / "images.npy")
-    return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test)
+    origin_m = origin.origin_of(poses) if origin_m is None else origin_m
+    poses = origin.without(origin_m, poses)
+    return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test, origin_m)
 
 
 def is_prepared(drive: Drive, config: SceneConfig, folder: Path) -> bool:
@@ -131,8 +149,7 @@ class _Preparation:
         """
         made_for = prior.manifest.get("fingerprint")
         if made_for is not None and made_for != self.drive.fingerprint():
-            other = f"made for {prior.drive.get('path')}, not for this {self.drive.name}"
-            raise DataError(f"{prior.folder}: {other}: build it anew")
+            raise DataError(f"{prior.folder}: {self._other(prior)}")
         stamps = {}
         for id_ in self.ids:
             with suppress(FileNotFoundError):
@@ -143,6 +160,13 @@ class _Preparation:
                 f"{prior.folder}: none of the {len(self.positions)} frames has a map: build the prior for them"
             )
         return stamps
+
+    def _other(self, prior: Prior) -> str:
+        """Say in what a prior's drive differs from this one, and what to do."""
+        made_with, these = poses_of(prior.drive), poses_of(self.drive.describe())
+        if made_with != these and prior.drive.get("path") == self.drive.describe().get("path"):
+            return f"made with {made_with} poses, these are {these}: --poses {made_with}, or build it anew"
+        return f"made for {prior.drive.get('path')}, not for this {self.drive.name}: build it anew"
 
     def maps(self, prior: Prior, stamps: dict[str, str]) -> tuple[Stack, Stack | None]:
         """Copy a prior's filtered maps into one file each, joined by frame id."""

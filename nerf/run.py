@@ -7,7 +7,8 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import json
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -15,11 +16,13 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import checkpoint
+from nerf import checkpoint, journal, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
 from nerf.model import Model
+from nerf.naming import labels
 from nerf.pictures import save_view
+from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
@@ -32,12 +35,15 @@ from priors.errors import DataError
 from priors.filters import Filters
 from priors.machine import threads
 from priors.machine.device import pick_device
+from priors.owner.claim import Claim, hold, owner_of
 from priors.records import restore
 from priors.types import Drive
 
 FORMAT = 1
 CONFIG = "config.json"
 """What every run's folder has."""
+OWNER = ".owner"
+"""File in a run's folder that says which process fits it (priors/owner)."""
 SCENES = ".scenes"
 """Folder beside the runs that holds their prepared arrays, shared by all of them."""
 
@@ -85,7 +91,7 @@ class Run:
     @property
     def name(self) -> str:
         """The folder's name."""
-        return self.folder.name
+        return labels([self.folder])[0]
 
     @cached_property
     def drive(self) -> Drive:
@@ -97,7 +103,9 @@ class Run:
         """The run's scene; what was prepared already is used again."""
         prior = None if self.config.prior is None else cache.only(Path(self.config.prior))
         with threads.limited(None):
-            return open_scene(self.drive, prior, self.config.scene, self.folder.parent / SCENES, self.progress)
+            home = self.folder.parent / SCENES
+            before = checkpoint.origin_of(self.folder)
+            return open_scene(self.drive, prior, self.config.scene, home, self.progress, before)
 
     def fit(self, device: str = "auto", on_step: OnStep = lambda status: None) -> Model:
         """Train until the budget is spent, or go on where the run was left; see nerf.fit.fit.
@@ -105,8 +113,32 @@ class Run:
         Args:
             device: cpu, cuda, or auto: a GPU where there is one.
             on_step: called after each step.
+
+        Raises:
+            DataError: another process fits this run, or see nerf.fit.fit.
         """
-        return fit(self.scene, self.config.fit, self.folder, on_step, pick_device(device))
+        with self.held() as claim:
+            _write(self.folder, self.config)  # of two that began at once, the one that trains has described the run
+            device = pick_device(device)
+            model = fit(self.scene, self.config.fit, self.folder, on_step, device, lambda: claim.lost)
+        return PlacedModel(model, self.scene.origin_m)
+
+    @contextmanager
+    def held(self) -> Iterator[Claim]:
+        """Keep other processes from fitting this run while the block runs; a block within a block changes nothing.
+
+        Raises:
+            DataError: another process has it in hand.
+        """
+        if "_claim" in vars(self):
+            yield vars(self)["_claim"]
+            return
+        with hold(self.folder / OWNER, str(self.folder), by_launch=True) as claim:
+            vars(self)["_claim"] = claim
+            try:
+                yield claim
+            finally:
+                del vars(self)["_claim"]
 
     def report(self, device: str = "auto", lpips: Lpips | None = None, info: dict[str, Any] | None = None) -> Report:
         """Score the held-out views of the trained field, and write the report's files.
@@ -116,15 +148,16 @@ class Run:
             lpips: None leaves that figure out.
             info: what the report says was run; default: what a study wrote of this run, else its name and config.
         """
-        model = self.open_model(device)
+        model = checkpoint.open_model(self.folder, pick_device(device))
         truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
         subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
         with threads.limited(None), self.progress(f"views of {self.name}", len(self.scene.test)) as step:
             return report(self.scene, truths, subject, self.folder, Scoring(lpips), step)
 
     def open_model(self, device: str = "auto") -> Model:
-        """Load the trained field."""
-        return checkpoint.open_model(self.folder, pick_device(device))
+        """Load the trained field; it renders poses of the drive's own frame."""
+        model = checkpoint.open_model(self.folder, pick_device(device))
+        return PlacedModel(model, checkpoint.origin_of(self.folder) or origin.NONE)
 
     def viewpoints(self, frames: str | None = None) -> Viewpoints:
         """Return where the drive's camera was, in a range of frames a:b; None: the run's."""
@@ -178,20 +211,31 @@ def begin(
 
 
 def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
-    """Begin a run in a folder, or go on with the same one; DataError where another run was trained in it.
+    """Begin a run in a folder, or go on with the same one.
 
     A run that had another budget goes on as well, at the new budget's learning rate; with `same_budget` it is begun
     anew, so that figures are those of the budget that is asked for.
+
+    Raises:
+        DataError: another run was trained in it, or another process trains this one.
     """
     path = folder / CONFIG
+    _refuse_taken(folder)
     before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
     if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
-        for name in (checkpoint.NAME, "metrics.jsonl", "metrics.json"):
+        for name in (checkpoint.NAME, journal.NAME, "metrics.json"):
             (folder / name).unlink(missing_ok=True)
     _write(folder, config)
     return Run(folder, config)
+
+
+def _refuse_taken(folder: Path) -> None:
+    """Refuse a folder before anything in it is written: another process may train in it."""
+    owner = owner_of(folder / OWNER)
+    if owner is not None and not (owner.process and (owner.process.is_me or owner.process.is_partner)):
+        raise DataError(f"{folder}: {owner}, fits this run: wait for it, stop it, or choose another --run")
 
 
 def open_run(folder: Path) -> Run:
@@ -227,6 +271,12 @@ def moved(run: Run, data: Path) -> Run:
     with suppress(OSError):  # a run that cannot be written is told of the new place each time
         _write(run.folder, config)
     return replace(run, config=config, source=drive)
+
+
+def find_all(paths: Sequence[Path]) -> list[Path]:
+    """Return the folders of the runs at some paths, each once; DataError where one holds none."""
+    folders = [folder for path in paths for folder in find(path)]
+    return list({folder.resolve(): folder for folder in folders}.values())
 
 
 def find(path: Path) -> list[Path]:

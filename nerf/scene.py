@@ -1,4 +1,7 @@
-"""Scene: posed frames and a prior's maps, arrays or files that are never held whole, in the drive's metric frame."""
+"""Scene: posed frames and a prior's maps, arrays or files that are never held whole.
+
+Its frame is the drive's metric frame, less an origin where the drive is far from zero (nerf/origin.py).
+"""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,6 +10,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from nerf import origin
+from nerf.origin import Offset
 from nerf.stack import Stack
 from nerf.types import Rays
 from priors.geometry import rays as pixel_rays
@@ -21,7 +26,7 @@ class Scene:
     ids: list[str]
     camera: Camera
     T_world_cam: npt.NDArray[np.float64]
-    """(frames, 4, 4)"""
+    """(frames, 4, 4) in the scene's frame, metres."""
     images: Stack | npt.NDArray[np.uint8]
     """(frames, height, width, 3)"""
     depth_m: Stack | npt.NDArray[np.float32] | None
@@ -32,6 +37,8 @@ class Scene:
     """Positions of the training frames."""
     test: list[int]
     """Positions of the held-out frames."""
+    origin_m: Offset = origin.NONE
+    """Where the scene's frame begins in the drive's, metres."""
 
     def draw(self, count: int, seed: int, step: int) -> Rays:
         """Draw `count` training rays; the same seed and step draw the same ones."""
@@ -54,7 +61,7 @@ class Scene:
         return Rays(_tensor(pose[:, :3, 3]), _tensor(directions), rgb, depth_m, weight, 1 / self.camera.fx)
 
     def points_m(self, most: int = 2_000_000) -> npt.NDArray[np.float32]:
-        """Back-project the training frames' prior: up to about `most` world points (n, 3), evenly thinned."""
+        """Back-project the training frames' prior: up to about `most` points (n, 3) of the scene, evenly thinned."""
         if self.depth_m is None:
             return np.zeros((0, 3), np.float32)
         directions = pixel_rays(self.camera)

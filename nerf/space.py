@@ -15,8 +15,9 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from nerf.kernels import kernels_for
 from nerf.twin import space as twin
-from nerf.types import BALL, BOX, SPHERES, Rays, Samples, Spacing
+from nerf.types import BALL, BOX, SPHERES, Extent, Rays, Samples, Spacing
 
 Kind: TypeAlias = Literal["box", "ball", "spheres"]
 Triple: TypeAlias = tuple[float, float, float]
@@ -116,6 +117,16 @@ class Space:
         """Depth up to which spacing is linear, box and ball: the middle one of the half extents."""
         return sorted(self.half_m)[1]
 
+    @property
+    def extent(self) -> Extent:
+        """How large it is."""
+        return Extent(self.code, float(np.prod(self.half_m) ** (1 / 3)), self.farthest)
+
+    @property
+    def farthest(self) -> float:
+        """|place| of what lies about far_m away."""
+        return self.far_m / min(self.half_m)
+
     def places(self, points_m: Tensor) -> Tensor:
         """Map world points (n, 3), metres, to places."""
         return self.turn(torch.clamp(points_m - points_m.new_tensor(self.centre_m), -1e30, 1e30))
@@ -131,18 +142,13 @@ class Space:
 
     def unwarp(self, u: Tensor, table: Tensor) -> Tensor:
         """Map u (n, 3) and table (n,) to world points (n, 3), metres; at most about far_m away."""
-        place = twin.unwarp(u, table, self.code, self.far_m / min(self.half_m))
+        place = twin.unwarp(u, table, self.code, self.farthest)
         axes = u.new_tensor(self.axes)
         return (place * u.new_tensor(self.half_m)) @ axes + u.new_tensor(self.centre_m)
 
     def stretch_m(self, u: Tensor, table: Tensor) -> Tensor:
         """Return the metres (n,) that one unit of u spans, away from the centre, at u (n, 3); extents averaged."""
-        mean_m = float(np.prod(self.half_m) ** (1 / 3))
-        if self.kind == "box":
-            return torch.full_like(u[:, 0], 2 * mean_m)
-        radius = twin.length(twin.unwarp(u, table, self.code, self.far_m / min(self.half_m)))
-        outer = 4 * mean_m * torch.clamp(radius, min=1) ** 2
-        return outer if self.kind == "ball" else torch.where(table > 0, outer, 2 * mean_m)
+        return kernels_for(u.device).sample.stretch(u, table, self.extent)
 
     def footprint(self, samples: Samples, pixel: float) -> Tensor:
         """Return the samples' standard deviations across the ray, (m,) in units of u; pixel: 1 / focal length.

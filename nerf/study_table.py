@@ -26,7 +26,8 @@ from priors.draw import lines
 from priors.draw.lines import Line, Plot
 from priors.errors import DataError
 from priors.naming import labels
-from priors.report.page import Figure, Page, Section
+from priors.report.blocks import Commands, Figure, Ranking
+from priors.report.page import Chapter, Page, Section
 
 COLUMNS = {
     "psnr": Column("PSNR", "dB", higher=True, digits=2),
@@ -99,14 +100,14 @@ def save(outcomes: Sequence[Outcome], folder: Path, command: str) -> list[Path]:
     for path in [folder / f"density{suffix}" for suffix in (".png", ".svg", ".pdf") if plots]:
         lines.write(path, plots)
         paths.append(path)
-    figures = [Figure(plots)] if plots else []
+    title, lead = f"Study {folder.resolve().name}", "Scored on views that no run was trained on."
     sections = [
-        Section("Figures", table=laid),
-        Section("PSNR over the density of the prior", figures=figures),
-        Section("How it was made", commands=typed),
+        Section("Table", [Ranking(laid)]),
+        Section("PSNR over the density of the prior", [Figure(plots)] if plots else []),
+        Section("How the runs were made", [Commands(typed[1:])] if typed[1:] else []),
     ]
-    lead = f"{len(outcomes)} runs, scored on views that no run was trained on."
-    Page(f"Study {folder.resolve().name}", lead, sections).write(folder / "report.html")
+    page = Page(title, f"{len(outcomes)} runs. {lead}", [Chapter(title, "", sections)], command)
+    page.write(folder / "report.html")
     return [*paths, folder / "report.html"]
 
 

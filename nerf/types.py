@@ -109,13 +109,13 @@ class Layers(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Rays:
-    """A batch of rays in the drive's metric frame and what is known about each; float32 tensors on one device.
+    """A batch of rays in the scene's metric frame and what is known about each; float32 tensors on one device.
 
     `t` along a ray is camera-z depth in metres, because directions have camera-z 1.
     """
 
     origins_m: Tensor
-    """(r, 3) camera centres, world, metres."""
+    """(r, 3) camera centres, metres."""
     directions: Tensor
     """(r, 3) world directions whose camera-z component is 1: origin + t * direction lies at camera-z depth t."""
     rgb: Tensor | None = None
@@ -156,6 +156,17 @@ class Target(NamedTuple):
     """Camera-z depth, metres; 0 = no value."""
     deviation_m: Tensor
     """Standard deviation, metres."""
+
+
+class Extent(NamedTuple):
+    """How large a space is: what nerf.twin.space, `stretch`, needs."""
+
+    kind: int
+    """BOX, BALL or SPHERES."""
+    mean_m: float
+    """Geometric mean of the half extents, metres."""
+    farthest: float
+    """|place| beyond which places are pulled back."""
 
 
 class Spacing(NamedTuple):

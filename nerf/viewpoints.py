@@ -21,7 +21,7 @@ class Viewpoints:
     ids: list[str]
     """Names of the views' files."""
     T_world_cam: npt.NDArray[np.float64]
-    """(n, 4, 4) camera to world, metres."""
+    """(n, 4, 4) camera to world, the drive's own frame, metres."""
 
 
 def along(drive: Drive, frames: str | None = None) -> Viewpoints:
@@ -31,7 +31,7 @@ def along(drive: Drive, frames: str | None = None) -> Viewpoints:
 
 
 def read_poses(path: Path, camera: Camera) -> Viewpoints:
-    """Read KITTI's poses, one a line: 12 numbers, camera to world, row by row, metres.
+    """Read KITTI's poses, one a line: 12 numbers, camera to world, row by row, metres, in the drive's own frame.
 
     Raises:
         DataError: it cannot be read, or a line has not 12 finite numbers.

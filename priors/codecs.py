@@ -28,6 +28,8 @@ PNG_SCALE = {"kitti": 256.0, "mm": 1000.0}
 FARTHEST_M = 250.0
 """The farthest that methods answer: what a kitti depth PNG holds, less a little."""
 LARGEST_CODE = 65535
+LOSSLESS = 101
+"""OpenCV's WebP quality that keeps every bit."""
 _JPEG_MARK = re.compile(rb"\xff+[^\x00\xd0-\xd7\xff]")
 """A mark; within a scan, 0 after 0xff stands for the value itself, and 0xd0 to 0xd7 begin the data anew."""
 _JPEG_END, _JPEG_BARE = 0xD9, (0x01, 0xD8)
@@ -54,6 +56,11 @@ def encode_image(path: Path, image: Image, quality: int = 95) -> bytes:
     options = [cv2.IMWRITE_JPEG_QUALITY, quality] if path.suffix.lower() in (".jpg", ".jpeg") else []
     pixels = image if image.ndim == 2 else image[..., ::-1]
     return _encode(path, pixels, options)
+
+
+def encode_lossless(image: Image) -> bytes:
+    """Return an RGB image as a WebP file that keeps every bit: a third of a PNG, for maps of few colours."""
+    return _encode(Path("a.webp"), np.ascontiguousarray(image[..., ::-1]), [cv2.IMWRITE_WEBP_QUALITY, LOSSLESS])
 
 
 def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:

@@ -1,6 +1,6 @@
 """How long a command says nothing, on a terminal of 80 columns and in a pipe.
 
-    python tests/silence.py priors build street --method stereo     prints every silence above SILENT_S, and the lines
+python tests/silence.py priors build street --method stereo     prints every silence above SILENT_S, and the lines
 """
 
 import fcntl

@@ -146,12 +146,13 @@ def test_pictures_are_written(built: Path) -> None:
 
 
 def test_a_report_page_holds_table_curves_pictures_and_the_command(built: Path) -> None:
-    succeed("eval", "cache", "--save", "report.html", "table.md", "--curves", "curves.svg", cwd=built)
+    said = succeed("eval", "cache", "--save", "report.html", "table.md", "--curves", "curves.svg", cwd=built)
     page = (built / "report.html").read_text()
     figures = re.findall(r"\d+\.\d{4}", (built / "table.md").read_text().split("paper:")[0])
     assert len(figures) >= 15 and all(f">{figure}</td>" in page for figure in figures)
-    assert page.count("<svg") == 2, "errors by distance, sparsification"
-    assert page.count("data:image/jpeg;base64,") == min(FRAMES, 4)
+    confident = len(re.findall(r": AUSE ", said))
+    assert confident and page.count('class="plot"') == 2 + 3 * confident, "errors by distance, sparsification"
+    assert page.count("data:image/jpeg;base64,") == min(FRAMES, 8)
     assert "priors eval cache --save report.html table.md --curves curves.svg" in page
     assert ">oracle</text>" in (built / "curves.svg").read_text()
     succeed("eval", next((built / "cache").glob("*/lidar-*")) / "metrics.json", "--save", "one.html", cwd=built)

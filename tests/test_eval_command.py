@@ -91,7 +91,7 @@ def test_a_drive_that_is_gone_costs_its_table(run: Run) -> None:
 
 
 def test_one_file_holds_the_tables_of_all_drives(run: Run) -> None:
-    names = [f"new/t{suffix}" for suffix in (".md", ".tex", ".txt", ".csv")]
+    names = [f"new/t{suffix}" for suffix in (".md", ".tex", ".txt", ".csv", ".html")]
     code, out, _ = run("--save", *names, "--metrics", "abs_rel", "delta_1")
     assert code == 0 and all(f"wrote {name}" in out for name in names)
     assert sorted(path.name for path in Path("new").iterdir()) == sorted(Path(name).name for name in names)
@@ -99,6 +99,8 @@ def test_one_file_holds_the_tables_of_all_drives(run: Run) -> None:
     assert text.index("## one") < text.index("| lidar |") < text.index("## two") < text.index("| mono |")
     assert "| prior | AbsRel ↓ | δ<1.25 ↑ |" in text
     assert Path("new/t.tex").read_text().count(r"\end{tabular}") == 2
+    page = Path("new/t.html").read_text()
+    assert "Depth priors of one, two" in page and page.index(">lidar<") < page.index(">mono<")
     with Path("new/t.csv").open() as file:
         found = [(row["drive"], row["prior"]) for row in csv.DictReader(file) if row["pooling"] == "image"]
     assert found == [("one", "lidar"), ("one", "stereo"), ("two", "mono")]

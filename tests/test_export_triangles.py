@@ -2,6 +2,7 @@
 
 import json
 import struct
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +32,7 @@ def read_ply(data: bytes) -> Triangles:
     assert lines[:2] == [["ply"], ["format", "binary_little_endian", "1.0"]]
     counts = {line[1]: int(line[2]) for line in lines if line[0] == "element"}
     assert list(counts) == ["vertex", "face"]
-    kinds = {"float": "<f4", "uchar": "u1"}
+    kinds = {"float": "<f4", "double": "<f8", "uchar": "u1"}
     fields = np.dtype([(line[2], kinds[line[1]]) for line in lines if line[0] == "property" and line[1] != "list"])
     assert ["property", "list", "uchar", "uint", "vertex_indices"] in lines
     table = np.frombuffer(body, fields, counts["vertex"])
@@ -100,6 +101,17 @@ def test_an_obj_holds_the_mesh() -> None:
     corners = [[tuple(map(int, corner.split("//"))) for corner in line[1:]] for line in lines if line[0] == "f"]
     assert [[vertex - 1 for vertex, _ in face] for face in corners] == made.faces.tolist()
     assert all(vertex == normal for face in corners for vertex, normal in face)
+
+
+def test_far_from_zero_every_format_holds_exact_places() -> None:
+    """float32 would step by 0.5 m there."""
+    far = replace(mesh(), origin_m=(455000.0, 5428001.0, 111.0))
+    expected_m = far.vertices_m.astype(np.float64) + far.origin_m
+    assert np.array_equal(read_ply(ply(far)).vertices_m, expected_m)
+    lines = [line.split() for line in obj(far).decode().splitlines() if line.startswith("v ")]
+    assert np.abs(np.array([line[1:4] for line in lines], float) - expected_m).max() < 1e-4
+    content, (places, *_) = read_glb(glb(far))
+    assert np.abs(places.astype(np.float64) + content["nodes"][0]["translation"] - expected_m).max() < 1e-9
 
 
 def test_linear_light() -> None:

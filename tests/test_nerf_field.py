@@ -7,14 +7,17 @@ import torch
 
 from nerf.field import Field, FieldConfig
 from nerf.harmonics import harmonics
+from nerf.kernels import cpu_kernels
 from nerf.kernels.cpu import field as cpu
 from nerf.kernels.plain import field as plain
 from nerf.mlp import MLPConfig
 from nerf.optimise import Optimiser, OptimiserConfig
-from nerf.sky import Sky, SkyConfig, corners
+from nerf.sky import Sky, SkyConfig
 from nerf.state import copy_into
 from nerf.twin import encode as twin_encode
 from nerf.twin import field as twin_field
+from nerf.twin import sky as slow_sky
+from nerf.twin.sky import corners
 from nerf.types import GridConfig, Layers, Samples
 
 SMALL = FieldConfig(GridConfig(levels=6, log2_size=12, coarsest=4, finest=128, tables=2), MLPConfig(width=32))
@@ -254,3 +257,18 @@ def test_sky_learns_what_it_is_shown():
         sky.backward(2 * (sky.forward(units) - (0.5 + 0.4 * units)) / 1024)
         optimiser.step(OptimiserConfig(), 0.0)
     assert (sky.forward(units) - (0.5 + 0.4 * units)).abs().mean() < 0.02
+
+
+@pytest.mark.parametrize("sizes", [(4,), (8, 32, 128)])
+def test_sky_kernels_equal_the_twin_bit_for_bit(sizes):
+    g = torch.Generator().manual_seed(0)
+    units = torch.nn.functional.normalize(torch.randn(3000, 3, generator=g), dim=-1)
+    units = torch.cat([units, torch.eye(3), -torch.eye(3)])
+    texels = torch.randn(sum(size**2 for size in sizes), 3, generator=g)
+    d_sums = torch.randn(len(units), 3, generator=g)
+    fast = cpu_kernels().render
+    assert torch.equal(fast.look(texels, units, sizes), slow_sky.look(texels, units, sizes))
+    ours, theirs = (torch.full_like(texels, 9.0) for _ in range(2))
+    fast.paint(d_sums, units, sizes, ours)
+    slow_sky.paint(d_sums, units, sizes, theirs)
+    assert torch.equal(ours, theirs)

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from nerf.kernels import cpu_kernels
 from nerf.occupancy import AGREED, WARM_UP, Occupancy
 from nerf.sample import Sampler
 from nerf.scene import Scene, view_rays
 from nerf.space import Kind, Space
+from nerf.twin import occupancy as twin
+from nerf.twin.space import stretch
 from nerf.types import Rays
 from priors.geometry import rays as pixel_rays
 from priors.types import Camera
@@ -261,3 +264,40 @@ def test_untrusted_values_carve_nothing() -> None:
     )
     assert torch.equal(wary.kept, Occupancy.carve(made, scene(absent), 32).kept)
     assert not torch.equal(wary.kept, trusting.kept)
+
+
+def looked_at(kind: Kind, count: int, seed: int = 0) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Places in two tables, many of them in the same few cells, and densities."""
+    g = torch.Generator().manual_seed(seed)
+    u = torch.rand(count, 3, generator=g)
+    u[::2] = 0.4 + 0.05 * u[::2]
+    u[:3] = torch.tensor([[0.0, 0, 0], [1, 1, 1], [0.5, 0.5, 0.5]])
+    table = torch.randint(space(kind).tables, (count,), generator=g, dtype=torch.int32)
+    return u, table, torch.exp(6 * torch.rand(count, generator=g) - 4)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_upkeep_by_kernels_equals_the_twin_bit_for_bit(kind: Kind) -> None:
+    made, fast = space(kind), cpu_kernels().sample
+    thickness = [torch.full((made.tables, 16, 16, 16), -1.0) for _ in range(2)]
+    allowed = (torch.rand(thickness[0].shape) > 0.3).to(torch.uint8)
+    kept = [torch.zeros_like(allowed) for _ in range(2)]
+    for seed in range(3):
+        seen = looked_at(kind, 2000, seed)
+        assert torch.equal(fast.stretch(*seen[:2], made.extent), stretch(*seen[:2], made.extent))
+        fast.note(thickness[0], *seen, made.extent, 0.7)
+        twin.note(thickness[1], *seen, made.extent, 0.7)
+        assert torch.equal(*thickness)
+    half = float(thickness[0][thickness[0] >= 0].median())
+    for thin in (half, 1e6):  # the mean is the limit where it is less
+        fast.prune(thickness[0], allowed, thin, kept[0])
+        twin.prune(thickness[1], allowed, thin, kept[1])
+        assert torch.equal(*kept)
+        assert 0 < kept[0].sum() < allowed.sum()
+
+
+def test_cells_that_nobody_looked_at_stay() -> None:
+    thickness = torch.full((1, 8, 8, 8), -1.0)
+    allowed, kept = torch.ones(thickness.shape, dtype=torch.uint8), torch.zeros(thickness.shape, dtype=torch.uint8)
+    cpu_kernels().sample.prune(thickness, allowed, 0.03, kept)
+    assert kept.all()

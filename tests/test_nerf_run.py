@@ -3,7 +3,7 @@
 import json
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +16,7 @@ from nerf import checkpoint
 from nerf.config import FitConfig, ModelConfig
 from nerf.fit import Status
 from nerf.prepare import SceneConfig
-from nerf.run import begin, open_run
+from nerf.run import CONFIG, OWNER, begin, open_run
 from nerf.viewpoints import read_poses
 from priors.drives import open_drive
 from priors.errors import DataError
@@ -95,6 +95,28 @@ def test_a_run_is_named_after_what_it_is(street: Path, tmp_path: Path, monkeypat
     assert made.folder == Path("runs") / f"{open_drive(street).name}-ngp-sparse"
     with pytest.raises(DataError, match="expected dense, sparse or a number"):
         _ = begin(open_drive(street), scene=SceneConfig(views="x"), fit=config()).scene
+
+
+def test_a_run_that_another_process_fits_is_refused(street: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    run = begin(open_drive(street), fit=config(), folder=folder)
+    before = (folder / CONFIG).read_bytes()
+    taker = f"from priors.owner.claim import take; from pathlib import Path; take(Path({str(folder / OWNER)!r}))"
+    command = [sys.executable, "-c", f"{taker}; print(flush=True); input()"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:
+        assert other.stdout and other.stdout.readline()
+        with pytest.raises(DataError, match=f"process {other.pid} on .*fits this run: wait for it, stop it, or"):
+            begin(open_drive(street), fit=replace(config(), steps=9), folder=folder)
+        with pytest.raises(DataError, match=f"process {other.pid} on .*has it in hand"):
+            run.fit("cpu")
+        other.kill()
+    assert (folder / CONFIG).read_bytes() == before
+    assert not (folder / checkpoint.NAME).exists()
+    with run.held(), run.held():
+        begin(open_drive(street), fit=config(), folder=folder)  # the owner itself is not refused
+        run.fit("cpu")
+    assert checkpoint.spent(folder).step == STEPS
+    assert not (folder / OWNER).exists()
 
 
 def test_views_are_rendered_where_they_are_asked_for(street: Path, tmp_path: Path) -> None:

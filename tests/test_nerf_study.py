@@ -212,7 +212,7 @@ def test_every_format_is_written_with_its_commands(tmp_path):
     height, width, _ = cv2.imread(str(paths[4])).shape
     assert height > width, "two plots, one above the other: dense and sparse views"
     page = paths[7].read_text()
-    assert page.count("<svg") == 1
+    assert page.count('class="plot"') == 2
     assert all(line in page for line in [typed, *fits])
     assert commands(outcomes, typed)[0] == typed
 

@@ -243,7 +243,7 @@ def trained(device: torch.device, kernels: Kernels) -> tuple[dict[str, Tensor], 
     samples.u.copy_(torch.rand(samples.u.shape, generator=made))
     samples, rays = (x if device.type == "cpu" else moved(x) for x in (samples, rays))
     config = FieldConfig(GridConfig(levels=3, log2_size=8, coarsest=4, finest=64), MLPConfig(width=16))
-    field, sky = Field(config, device, 3, kernels.field), Sky(SkyConfig(sizes=(4, 8)), device)
+    field, sky = Field(config, device, 3, kernels.field), Sky(SkyConfig(sizes=(4, 8)), device, kernels.render)
     parameters = {f"field.{k}": v for k, v in field.parameters().items()} | {"sky.texels": sky.texels}
     optimiser = Optimiser(parameters, {"field.grid": field.copies()["grid"]}, kernels.field)
     with Placed() as placed:

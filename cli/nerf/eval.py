@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated
 
@@ -14,16 +14,18 @@ from cli.nerf.arguments import open_moved
 from cli.written import expect_file, expect_folder
 from eval import lpips, typeset
 from eval.files import write_bytes
-from nerf.page import runs_page
+from nerf.comparison import views_wipe
+from nerf.naming import labels
+from nerf.page import FieldScores, lay_out
 from nerf.pictures import compare, load_view
 from nerf.report import Report
-from nerf.run import Run, find
-from nerf.study_table import COLUMNS
+from nerf.run import Run, find_all
+from nerf.story import story_page
 from nerf.truths import Truths
 from priors import codecs
 from priors.errors import DataError
-from priors.report.page import PICTURED, SUFFIX, Picture
-from priors.selection import pick_middles
+from priors.report.page import SUFFIX
+from priors.report.sample import Sample
 from priors.types import Image
 
 EXAMPLES = """Score runs' held-out views and print one table; views that were rendered already are not rendered again.
@@ -83,15 +85,12 @@ def run(arguments: list[str]) -> int:
 
 
 def _score(args: ReportArguments, command: str) -> int:
-    lpips = args.lpips.open()
-    folders = [folder for path in args.runs for folder in find(path)]
-    runs, reports = _report_all(folders, args, lpips)
-    laid = print_table(reports)
+    folders = find_all(args.runs)
+    runs, reports = report_runs(folders, args.data, args.device, args.lpips.open())
+    laid = print_table(runs, reports)
     for path in args.save:
         if path.suffix == SUFFIX:
-            views = _compared(runs, PICTURED) if _one_drive(runs) else ()  # the page says which drive a run has
-            pictures = [Picture(f"frame {id_}", image) for id_, image in views]
-            runs_page(runs, reports, laid, pictures, command).write(path)
+            story_page(scored_fields(runs, reports, Sample()), [], command, Sample().room).write(path)
         else:
             write_bytes(path, WRITERS[path.suffix](laid).encode())
         out.print(f"wrote {path}")
@@ -104,15 +103,15 @@ def _score(args: ReportArguments, command: str) -> int:
     return DATA_ERROR if len(runs) < len(folders) else 0
 
 
-def _report_all(
-    folders: Sequence[Path], args: ReportArguments, network: lpips.Lpips | None
+def report_runs(
+    folders: Sequence[Path], data: Path | None, device: str, network: lpips.Lpips | None
 ) -> tuple[list[Run], list[Report]]:
     """Score the runs; those that cannot be scored are named and left out. DataError where none can."""
     runs, reports = [], []
     for folder in folders:
         try:
-            run = open_moved(folder, args.data)
-            reports.append(run.report(args.device, network))
+            run = open_moved(folder, data)
+            reports.append(run.report(device, network))
             runs.append(run)
         except DataError as error:
             if len(folders) == 1:
@@ -123,31 +122,39 @@ def _report_all(
     return runs, reports
 
 
-def _compared(runs: Sequence[Run], most: int | None = None) -> Iterator[tuple[str, Image]]:
-    """Set the views side by side that all runs hold out, of one drive; at most `most`, spread evenly."""
+def scored_fields(runs: Sequence[Run], reports: Sequence[Report], sample: Sample) -> list[FieldScores]:
+    """Put the runs of each drive together, with pictures of their held-out views."""
+    drives: dict[str, list[tuple[Run, Report]]] = {}
+    for run, report in zip(runs, reports, strict=True):
+        drives.setdefault(run.drive.fingerprint(), []).append((run, report))
+    scored = []
+    for made in drives.values():
+        own = [run for run, _ in made]
+        of_drive = FieldScores(own, [report for _, report in made])
+        scored.append(replace(of_drive, wipe=views_wipe(own, of_drive.figures, sample)))
+    return scored
+
+
+def _compared(runs: Sequence[Run]) -> Iterator[tuple[str, Image]]:
+    """Set the views side by side that all runs hold out, of one drive."""
     if not _one_drive(runs):
         raise DataError("--pictures: the runs are of several drives: name the runs of one")
-    drive, scene = runs[0].drive, runs[0].scene
+    drive, scene, names = runs[0].drive, runs[0].scene, labels([run.folder for run in runs])
     ids = [[each.scene.ids[position] for position in each.scene.test] for each in runs]
     truths = Truths(drive, ids[0])
-    common = [(id_, position) for id_, position in zip(ids[0], scene.test, strict=True) if all(id_ in i for i in ids)]
-    for id_, position in common if most is None else pick_middles(common, most):
-        views = [(each.name, *load_view(each.folder / "renders", id_)) for each in runs]
-        yield id_, compare(id_, scene.images[position], truths(id_), views)
+    for id_, position in zip(ids[0], scene.test, strict=True):
+        if all(id_ in own for own in ids):
+            views = [(name, *load_view(each.folder / "renders", id_)) for name, each in zip(names, runs, strict=True)]
+            yield id_, compare(id_, scene.images[position], truths(id_), views)
 
 
 def _one_drive(runs: Sequence[Run]) -> bool:
     return len({each.drive.fingerprint() for each in runs}) == 1
 
 
-def print_table(reports: Sequence[Report]) -> typeset.Table:
+def print_table(runs: Sequence[Run], reports: Sequence[Report]) -> typeset.Table:
     """Print a row a run."""
-    rows = [((str(each.info["name"]),), each.metrics()) for each in reports]
-    have = {key for _, figures in rows for key in figures}
-    columns = {key: column for key, column in COLUMNS.items() if key in have}
-    caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
-    remarks = list(dict.fromkeys(remark for each in reports for remark in each.remarks))
-    laid = typeset.lay_out(("run",), columns, rows, caption, remarks)
+    laid = lay_out(labels([run.folder for run in runs]), reports)
     if out.is_terminal:
         out.print(typeset.render(laid, out.width))
     else:

@@ -106,7 +106,7 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
     if before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
     if this_run.scene.test:
-        print_table([this_run.report(args.device, args.lpips.open())])
+        print_table([this_run], [this_run.report(args.device, args.lpips.open())])
     else:
         count = len(this_run.scene.ids)
         out.print(f"none of the {count} frames is held out (the 10th, 20th, ... are): nothing to score")

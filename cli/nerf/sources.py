@@ -9,6 +9,7 @@ from cli.console import err
 from priors import cache
 from priors.advice import PriorAdvice, advise_prior
 from priors.cache import Prior
+from priors.drives import poses_of
 from priors.errors import DataError, UsageError
 from priors.types import Drive
 
@@ -39,8 +40,17 @@ def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str])
     if len(drives) > 1:
         raise UsageError(f"{prior}: priors of {len(drives)} drives: name one:{_listed(drives, typed)}")
     drive = reopen_drive(priors, args.part.truth)
+    _expect_poses(args.part.poses, poses_of(drive.describe()))
     err.print(f"drive: {drive.name}, as its priors say")
     return drive, _choose(priors, drive)
+
+
+def _expect_poses(wanted: str, found: str) -> None:
+    """Raise where --poses asks for others than those that the priors were made with."""
+    if wanted not in ("auto", found):
+        raise UsageError(
+            f"--poses {wanted}: the prior was made with {found} poses: leave it out, or build anew with it"
+        )
 
 
 def _choose(priors: Sequence[Prior], drive: Drive) -> Prior:

@@ -8,6 +8,7 @@ PROGRAM = Program(
     {
         "build": "make depth maps for a drive and cache them",
         "eval": "score cached maps against the drive's truth",
+        "report": "write one page: tables, pictures to compare by a slider, plots",
         "show": "write pictures: image, depth, error and confidence side by side",
         "view": "look at a drive and its priors in 3D, live in a browser",
         "list": "list what a cache holds",
@@ -22,6 +23,7 @@ PROGRAM = Program(
   priors build KITTI/2011_09_26 --drive 2011_09_26_drive_0001_sync --method lidar --lidar.sweeps 11
   priors build street/ --method completion --sky mask --clip 80
   priors eval cache/                                    one table, a row a prior
+  priors report cache/                                  one page to open: report.html
   priors show cache/ --frames 5:8                       pictures
   priors view cache/                                    points in 3D, live in a browser""",
 )

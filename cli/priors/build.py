@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, make_dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,8 @@ from cli.console import DATA_ERROR, err, out, progress
 from priors import build, methods
 from priors.advice import advise_method
 from priors.build import BuildReport, Job, Plan
+from priors.cache import load
+from priors.drives import poses_of
 from priors.errors import DataError, UsageError, expect_between
 from priors.filters import Filters
 from priors.machine.threads import MOST_THREADS
@@ -75,6 +78,7 @@ def _build(args: BuildArguments, typed: list[str]) -> int:
     indices = select(drive.ids, args.selection.frames)  # wrong frames are told before anything is compiled
     method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
     job = build.prepare(drive, args.settings(method), args.filters, args.cache)
+    _tell_of_other_poses(job)
     plan = job.plan(args.selection)
     if args.dry_run:
         _print_plan(job, plan)
@@ -86,6 +90,20 @@ def _build(args: BuildArguments, typed: list[str]) -> int:
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0
+
+
+def _tell_of_other_poses(job: Job) -> None:
+    """Say which maps of this method lie there already, made with other poses of the drive: they are not mixed."""
+    if job.prior.ids():
+        return
+    own, siblings = poses_of(job.drive.describe()), sorted(job.prior.folder.parent.glob(f"{job.method.name}-*"))
+    for folder in siblings:
+        with suppress(DataError):
+            made_with = poses_of(load(folder).drive)
+            if made_with != own:
+                err.print(
+                    f"{folder}: made with {made_with} poses, these are {own}: --poses {made_with} goes on with it"
+                )
 
 
 def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> str:

@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -21,10 +21,13 @@ from priors.cache import Prior
 from priors.draw import figure, lines
 from priors.errors import DataError, expect
 from priors.naming import labels
-from priors.report.page import SUFFIX, Picture
-from priors.report.scores import picture_frames, scores_page, sparsification
-from priors.score import Pairs, Score, pair, score_pairs
+from priors.report.frames import frames_wipe
+from priors.report.page import SUFFIX
+from priors.report.sample import Sample
+from priors.report.scores import DriveScores, scores_page, sparsification
+from priors.score import Score, pair, score_pairs
 from priors.selection import parse_range
+from priors.types import Drive
 
 EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior.
 metrics.json is written beside the maps.
@@ -100,24 +103,6 @@ class ScoreArguments:
 
 
 @dataclass(frozen=True)
-class Scored:
-    """The scores of one drive's priors, and what a page shows beside them."""
-
-    results: list[Result]
-    curves: dict[str, list[Curves]] = field(default_factory=dict)
-    """By a prior's name, of those with a confidence, where curves were asked for."""
-    pictures: list[Picture] = field(default_factory=list)
-    """Where a page was asked for."""
-    left_out: dict[str, str] = field(default_factory=dict)
-    """What could not be scored or kept -> why."""
-
-    @property
-    def drive(self) -> str:
-        """Return the drive's name; empty where a result does not say."""
-        return str(self.results[0].info.get("drive", ""))
-
-
-@dataclass(frozen=True)
 class Output:
     """Prints and writes what was asked for."""
 
@@ -125,10 +110,10 @@ class Output:
     command: str
     """As typed."""
     several: bool
-    """Whether there are several drives: the names of plots and pages then have the drive's in them."""
+    """Whether there are several drives: the names of their plots then have the drive's in them."""
 
-    def show(self, scored: Scored) -> None:
-        """Print one drive's table and write its plots and pages."""
+    def show(self, scored: DriveScores) -> None:
+        """Print one drive's table and write its plot."""
         out.print(scored.drive, style="bold")
         table.show(scored.results, self.args.keys, out)
         if self.args.ranges:
@@ -138,15 +123,14 @@ class Output:
             plots = [plot for name, drawn in scored.curves.items() for plot in sparsification(name, drawn)]
             lines.write(path, plots, max(map(len, scored.curves.values())))
             out.print(f"wrote {path}")
-        for wanted in (path for path in self.args.save if path.suffix == SUFFIX):
-            path = self._place(wanted, scored.drive)
-            scores_page(scored.results, self.args.keys, scored.curves, scored.pictures, self.command).write(path)
-            out.print(f"wrote {path}")
 
-    def save(self, drives: Sequence[Scored]) -> None:
+    def save(self, drives: Sequence[DriveScores]) -> None:
         """Write one file of each format that was asked for, with the tables of all drives."""
-        for path in (path for path in self.args.save if path.suffix != SUFFIX):
-            table.save([(scored.drive, scored.results) for scored in drives], path, self.args.keys)
+        for path in self.args.save:
+            if path.suffix == SUFFIX:
+                scores_page(drives, self.args.keys, self.command, Sample().room).write(path)
+            else:
+                table.save([(scored.drive, scored.results) for scored in drives], path, self.args.keys)
             out.print(f"wrote {path}")
 
     def _place(self, path: Path, drive: str) -> Path:
@@ -173,12 +157,12 @@ def run(arguments: list[str]) -> int:
     return DATA_ERROR if any(one is None or one.left_out for one in scored) else 0
 
 
-def _load(files: Sequence[Path]) -> list[Scored]:
+def _load(files: Sequence[Path]) -> list[DriveScores]:
     """Read results that were made before; those of one drive stand together."""
-    drives: dict[str, Scored] = {}
+    drives: dict[str, DriveScores] = {}
     for path in files:
         result = Result.load(path)
-        drives.setdefault(str(result.info.get("drive", "")), Scored([])).results.append(result)
+        drives.setdefault(str(result.info.get("drive", "")), DriveScores([])).results.append(result)
     return list(drives.values())
 
 
@@ -191,7 +175,7 @@ def _with_maps(path: Path) -> list[Prior]:
     return [prior for prior in priors if prior.ids()]
 
 
-def _try_drive(priors: list[Prior], output: Output) -> Scored | None:
+def _try_drive(priors: list[Prior], output: Output) -> DriveScores | None:
     """Score and print one drive; where it cannot be scored and there are others, say why and return None."""
     try:
         scored = _score_drive(priors, output.args)
@@ -206,26 +190,33 @@ def _try_drive(priors: list[Prior], output: Output) -> Scored | None:
     return scored
 
 
-def _score_drive(priors: list[Prior], args: ScoreArguments) -> Scored:
+def _score_drive(priors: list[Prior], args: ScoreArguments) -> DriveScores:
     """Score the priors of one drive; one that cannot be scored is left out. DataError where none can."""
     drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
-    against = None if args.against is None else cache.only(args.against)
-    pictures = picture_frames(drive, priors, names, args.frames) if args.page else []
-    scored = Scored([], {}, pictures)
-    for prior, name in zip(priors, names, strict=True):
+    scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive.name)
+    for name in names:
         try:
-            _score_prior(pair(prior, drive, args.frames, against), name, args, scored)
+            one = score_prior(scored, name, drive, args)
         except DataError as error:
-            if len(priors) == 1:
+            if len(names) == 1:
                 raise
             scored.left_out[name] = str(error)
+            continue
+        if one.pixels is not None:
+            out.print(f"{name}: {_best_share(one)}")
+            out.print(f"{name}: {_areas(scored.curves[name])}")
     if not scored.results:
-        raise DataError(f"none of its {len(priors)} priors can be scored, the first: {scored.left_out[names[0]]}")
+        raise DataError(f"none of its {len(names)} priors can be scored, the first: {scored.left_out[names[0]]}")
+    if args.page:
+        wipe = frames_wipe(drive, scored.priors, scored.results, Sample(), args.frames)
+        scored = replace(scored, wipe=wipe)
     return scored
 
 
-def _score_prior(pairs: Pairs, name: str, args: ScoreArguments, scored: Scored) -> None:
-    """Score one of a drive's priors, and note what came of it."""
+def score_prior(scored: DriveScores, name: str, drive: Drive, args: ScoreArguments) -> Score:
+    """Score one of the priors, and note its result, its curves, and what had to be left out."""
+    prior = scored.priors[name]
+    pairs = pair(prior, drive, args.frames, None if args.against is None else cache.only(args.against))
     with progress(name, len(pairs)) as step:
         one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step)
     scored.results.append(one.result)
@@ -234,8 +225,7 @@ def _score_prior(pairs: Pairs, name: str, args: ScoreArguments, scored: Scored) 
         scored.left_out[f"{name}, metrics.json"] = one.unsaved
     if one.pixels is not None:
         scored.curves[name] = one.curves()
-        out.print(f"{name}: {_best_share(one)}")
-        out.print(f"{name}: {_areas(scored.curves[name])}")
+    return one
 
 
 def _metric(name: str) -> str:

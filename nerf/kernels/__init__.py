@@ -14,7 +14,7 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
-from nerf.types import Course, Gradients, GridConfig, Histogram, Layers, Rendered, Samples, Target
+from nerf.types import Course, Extent, Gradients, GridConfig, Histogram, Layers, Rendered, Samples, Target
 
 
 class FieldKernels(Protocol):
@@ -99,6 +99,12 @@ class RenderKernels(Protocol):
     ) -> tuple[Tensor, Tensor]:
         """Return the interlevel loss (r,) and its gradient by the coarse weights (m,)."""
 
+    def look(self, texels: Tensor, units: Tensor, sizes: tuple[int, ...]) -> Tensor:
+        """Return what the sky's pictures (texels, 3) sum up to in unit directions (r, 3): nerf.twin.sky."""
+
+    def paint(self, d_sums: Tensor, units: Tensor, sizes: tuple[int, ...], d_texels: Tensor) -> None:
+        """Set the texels' gradient (texels, 3) from that of the sums, (r, 3)."""
+
 
 class SampleKernels(Protocol):
     """The functions of the samplers."""
@@ -111,6 +117,15 @@ class SampleKernels(Protocol):
 
         targets: (r, n + 1) places of the ends in the cumulated mass, ascending in [0, 1].
         """
+
+    def stretch(self, u: Tensor, table: Tensor, extent: Extent) -> Tensor:
+        """Return the metres (n,) that one unit of u spans at u (n, 3) of tables (n,): nerf.twin.space.stretch."""
+
+    def note(self, thickness: Tensor, u: Tensor, table: Tensor, sigma: Tensor, extent: Extent, decay: float) -> None:
+        """Note densities (m,), 1/m, at u (m, 3) of tables (m,) in an occupancy grid: nerf.twin.occupancy.note."""
+
+    def prune(self, thickness: Tensor, allowed: Tensor, thin: float, kept: Tensor) -> None:
+        """Decide which cells of an occupancy grid are kept: nerf.twin.occupancy.prune."""
 
 
 class Kernels(NamedTuple):

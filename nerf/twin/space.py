@@ -7,7 +7,7 @@ products are spelt out in the kernels' order, so that float32 gives the same bit
 import torch
 from torch import Tensor
 
-from nerf.types import BALL, BOX, Spacing
+from nerf.types import BALL, BOX, Extent, Spacing
 
 _LARGEST = 1e15
 """Beyond it only the direction of a place counts: its square must not overflow float32."""
@@ -50,6 +50,15 @@ def unwarp(u: Tensor, table: Tensor, kind: int, farthest: float) -> Tensor:
     outer = 1 / torch.clamp(2 - radius, min=1 / farthest)
     place = torch.where((radius > 1)[..., None], z * (outer / torch.clamp(radius, min=1))[..., None], z)
     return place if kind == BALL else torch.where((table > 0)[..., None], place, u * 2 - 1)
+
+
+def stretch(u: Tensor, table: Tensor, extent: Extent) -> Tensor:
+    """Return the metres (n,) that one unit of u spans, away from the centre, at u (n, 3); half extents averaged."""
+    if extent.kind == BOX:
+        return torch.full_like(u[:, 0], 2 * extent.mean_m)
+    radius = torch.clamp(length(unwarp(u, table, extent.kind, extent.farthest)), min=1)
+    outer = 4 * extent.mean_m * (radius * radius)
+    return outer if extent.kind == BALL else torch.where(table > 0, outer, 2 * extent.mean_m)
 
 
 def ramp(t: Tensor, knee: Tensor) -> Tensor:

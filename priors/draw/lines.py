@@ -54,9 +54,28 @@ class Plot:
     """Start the y axis at 0 where nothing is negative; else (decibels) near the smallest value."""
     x_scale: Literal["linear", "whole", "log"] = "linear"
     """whole: linear, with ticks at whole numbers only; log: logarithmic, with ticks at the points' places."""
+    y_scale: Literal["linear", "log"] = "linear"
 
 
-def draw(plots: Sequence[Plot], columns: int = 1) -> "Figure":
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How a line looks: what a legend beside a plot shows."""
+
+    label: str
+    colour: str
+    marker: str
+    """One of MARKERS; empty: the line is dashed."""
+
+
+def looks(plot: Plot) -> list[Look]:
+    """Return how each of a plot's lines looks."""
+    return [
+        Look(line.label, colour, "" if line.dashed else marker)
+        for line, colour, marker in zip(plot.lines, cycle(figure.COLOURS), cycle(MARKERS))
+    ]
+
+
+def draw(plots: Sequence[Plot], columns: int = 1, legend: bool = True) -> "Figure":
     """Draw plots in rows of `columns`, all of one size; one legend above where all have the same lines."""
     from matplotlib.figure import Figure
 
@@ -68,6 +87,8 @@ def draw(plots: Sequence[Plot], columns: int = 1) -> "Figure":
         for axes in places[len(plots) :]:
             axes.set_axis_off()
         labels = [[line.label for line in plot.lines] for plot in plots]
+        if not legend:
+            return made
         if len(plots) > 1 and all(names == labels[0] for names in labels):
             names = labels[0]
             fit = int(LETTERS * columns / (max(map(len, names), default=0) + 6))
@@ -84,27 +105,40 @@ def write(path: Path, plots: Sequence[Plot], columns: int = 1) -> None:
     figure.save(draw(plots, columns), path)
 
 
-def svg(plots: Sequence[Plot], columns: int = 1) -> str:
+def svg(plots: Sequence[Plot], columns: int = 1, legend: bool = True) -> str:
     """Return plots as an SVG file's text."""
-    return figure.encode(draw(plots, columns), ".svg").decode()
+    return figure.encode(draw(plots, columns, legend), ".svg").decode()
 
 
 def _draw(axes: "Axes", plot: Plot) -> "list[Line2D]":
     """Draw one plot; returns what a legend shows of its lines."""
     axes.set(title=textwrap.fill(plot.title, TITLE_LETTERS), xlabel=plot.x_label, ylabel=plot.y_label)
     drawn: list[Line2D] = []
-    for line, colour, marker in zip(plot.lines, cycle(figure.COLOURS), cycle(MARKERS)):
+    for line, look in zip(plot.lines, looks(plot), strict=True):
         finite = np.isfinite(line.x) & np.isfinite(line.y)
         every = max(1, np.count_nonzero(finite) // 10) if len(line.x) > FEW else 1
-        look = {"linestyle": (0, (5, 3))} if line.dashed else {"marker": marker, "markersize": 4.0, "markevery": every}
-        drawn += axes.plot(line.x[finite], line.y[finite], color=colour, linewidth=1.6, **look)
+        marks = {"marker": look.marker, "markersize": 4.0, "markevery": every}
+        more = marks if look.marker else {"linestyle": (0, (5, 3))}
+        drawn += axes.plot(line.x[finite], line.y[finite], color=look.colour, linewidth=1.6, **more)
     values = [line.y[np.isfinite(line.y)] for line in plot.lines]
     if not any(each.size for each in values):
         axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", color=figure.FAINT)
+    elif plot.y_scale == "log":
+        _scale_y_by_logarithm(axes)
     elif plot.from_zero and min(float(each.min()) for each in values if each.size) >= 0:
         axes.set_ylim(bottom=0)
     _scale_x(axes, plot)
     return drawn
+
+
+def _scale_y_by_logarithm(axes: "Axes") -> None:
+    """Set a logarithmic y axis, its ticks plain numbers: text is not parsed for mathematics."""
+    from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
+
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+    axes.yaxis.set_minor_formatter(NullFormatter())
 
 
 def _scale_x(axes: "Axes", plot: Plot) -> None:

@@ -14,7 +14,7 @@ from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, Literal
 
 from priors import extensions
 from priors.drives._camera_drive import CameraDrive as CameraDrive
@@ -22,7 +22,7 @@ from priors.drives._files import first_size as first_size
 from priors.drives._files import stems as stems
 from priors.drives._files import subfolders as subfolders
 from priors.drives._links import plain
-from priors.errors import DataError, expect
+from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.types import Drive
 
 __path__.extend(extensions.folders("drives"))
@@ -41,8 +41,12 @@ class DriveOptions:
     truth: Path | None = None
     """Folder with KITTI depth maps: holds train/<drive>/proj_depth or <drive>/proj_depth. For Argoverse 1: the folder
     that holds disparity_maps_v1.1."""
+    poses: Literal["auto", "recorded", "dead-reckoned"] = "auto"
+    """Where poses come from: the positions as recorded, or dead-reckoned from recorded velocities and tied to the
+    positions over seconds. auto: dead-reckoned where a drive records velocities (KITTI raw)."""
 
     def __post_init__(self) -> None:
+        expect_choices(self, "")
         expect(self.drive != "", "--drive", "''", "a name, or leave it out")
         expect(self.camera != "", "--camera", "''", "a name, or leave it out")
 
@@ -64,8 +68,16 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     if not path.is_dir():
         raise DataError(f"{path}: " + ("is a file: name the drive's folder" if path.exists() else "no such folder"))
     name = _recognise(path) if dataset == "auto" else dataset
-    drive: Drive = reader(name).open_drive(path, options or DriveOptions())
+    options = options or DriveOptions()
+    drive: Drive = reader(name).open_drive(path, options)
+    if options.poses == "dead-reckoned" and poses_of(drive.describe()) != options.poses:
+        raise UsageError(f"--poses dead-reckoned: {drive.name} has no velocities that fit its positions: leave it out")
     return drive
+
+
+def poses_of(description: dict[str, Any]) -> str:
+    """Return which poses a drive has, by its description: as they are recorded, unless it says more."""
+    return str(description.get("poses", "recorded"))
 
 
 def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
@@ -87,7 +99,9 @@ def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
         raise DataError(f"{path}: no such folder: has the drive moved? Name it: --data FOLDER")
     if moved_to is not None and truth is not None and not truth.is_dir():
         truth = None  # it moved too, or lies beside the drive as usual
-    return open_drive(moved_to or path, dataset, DriveOptions(camera=description.get("camera"), truth=truth))
+    poses: Literal["recorded", "auto"] = "recorded" if poses_of(description) == "recorded" else "auto"
+    options = DriveOptions(camera=description.get("camera"), truth=truth, poses=poses)
+    return open_drive(moved_to or path, dataset, options)
 
 
 def reader(name: str) -> ModuleType:

@@ -182,3 +182,8 @@ def digest(files: Iterable[Path]) -> str:
         except OSError as error:
             raise DataError(f"{file}: cannot be read ({error.strerror})") from error
     return sha.hexdigest()
+
+
+def revise(fingerprint: str, *reasons: str) -> str:
+    """Return another fingerprint, of the same files from which something else was made, for these reasons."""
+    return hashlib.sha256("/".join([fingerprint, *reasons]).encode()).hexdigest()

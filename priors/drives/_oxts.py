@@ -3,9 +3,15 @@
 A KITTI frame keeps the nearest of the IMU's records, which come at 100 Hz: up to 5 ms lie between, 7 cm at 50 km/h,
 and poses taken as they are step back and forth by that. The scanner turns at a steady rate, so the frames' own times
 lie on a line through the records' time stamps.
+
+Positions by satellite drift: on drive 0009 they travel at -1.01 degrees to the yaw. Where records have velocities, the
+path is dead-reckoned from those forward, to the left and up. `vn` and `ve` are not taken: they mirror the velocity to
+the left. By `vl` drive 0009 travels at +0.48 degrees to its yaw, as the positions of drive 0001 do; by `vn` and `ve` it
+is -0.48 degrees, and images see three times the error (docs/poses.md).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
@@ -13,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
+from priors.drives._dead_reckoning import dead_reckon
 from priors.drives._files import read_times, stems
 from priors.errors import DataError
 from priors.frame_ids import by_number
@@ -20,26 +27,50 @@ from priors.geometry import invert
 from priors.text import read_lines
 from priors.types import Matrix
 
+Floats = npt.NDArray[np.float64]
+
 EARTH_RADIUS_M = 6378137.0
+PLACE, VELOCITY = 6, slice(8, 11)
+"""Columns: where the IMU is, how many; vf, vl and vu, which."""
+DEAD_RECKONING = "dead-reckoned-1"
+"""Part of a fingerprint: the number is raised when dead-reckoned poses change."""
 
 FRAMES_AROUND = 10  # the line is fitted to so many frames before and after: 0.6 ms of the 5 are left
 FEWEST_STAMPS = 5
 RECORD_S = 0.01  # where a stamp lies farther from the line, nothing is known about the frames' times
 
 
+@dataclass(frozen=True)
+class Record:
+    """What one oxts file says."""
+
+    T_mercator_imu: Matrix
+    """(4, 4) in Mercator metres: x east, y north, z up."""
+    velocity_m_s: Floats
+    """(3,) forward and to the left, both level, and up; NaN where the file has no number."""
+    yaw: float
+    """The heading, from east to north, radians."""
+
+
 class Track:
     """The poses of a drive's oxts folder, by frame id; the world is the IMU's frame at the first record."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, *, by_velocity: bool = True) -> None:
         self.files = stems(folder / "data", [".txt"])
         self._by_number = by_number(self.files)
         self._stamps_file = folder / "timestamps.txt"
-        self._records: dict[str, Matrix] = {}
+        self._records: dict[str, Record] = {}
+        self._by_velocity = by_velocity
 
     @property
     def sources(self) -> list[Path]:
         """What the poses are made from."""
         return [*self.files.values(), *([self._stamps_file] if self._stamps_file.exists() else [])]
+
+    @property
+    def dead_reckoned(self) -> bool:
+        """Whether the path is that of the velocities."""
+        return bool(self._path_m)
 
     def T_world_imu(self, id_: str) -> Matrix | None:
         """Return the IMU's pose (4, 4) when the frame was taken, metres; None where it has no record."""
@@ -50,22 +81,47 @@ class Track:
         """Return the id of a number's record; nothing where it has none."""
         return self._by_number.get(number, "")
 
-    def record(self, id_: str) -> Matrix:
-        """Return the pose (4, 4) in a frame's file, in Mercator metres."""
+    def record(self, id_: str) -> Record:
+        """Read what a frame's file says, once."""
         if id_ not in self._records:  # two threads may both read it: they find the same
-            self._records[id_] = _read_pose(self.files[id_], self._mercator_scale)
+            self._records[id_] = _read_record(self.files[id_], self._mercator_scale)
         return self._records[id_]
+
+    def pose(self, id_: str) -> Matrix:
+        """Return the pose (4, 4) at a record's stamp, in Mercator metres."""
+        recorded = self.record(id_).T_mercator_imu
+        if id_ not in self._path_m:
+            return recorded
+        T = recorded.copy()
+        T[:3, 3] = self._path_m[id_]
+        return T
+
+    @cached_property
+    def _path_m(self) -> dict[str, Floats]:
+        """Positions (3,) by dead reckoning, Mercator metres; nothing where the records lack velocities or stamps."""
+        if not self._by_velocity:
+            return {}
+        records, times_s = {}, []
+        for id_ in self.files:
+            number = int(id_) if id_.isdecimal() else -1
+            try:
+                records[id_] = self.record(id_)
+            except DataError:
+                continue  # it spoils its own frame only
+            times_s.append(self._stamps.get(number, np.nan))
+        path_m = _sail(list(records.values()), np.array(times_s))
+        return {} if path_m is None else dict(zip(records, path_m, strict=True))
 
     def _at_frame(self, id_: str) -> Matrix:
         """Return the pose between the frame's record and the next, or the one before."""
-        T, number = self.record(id_), int(id_) if id_.isdecimal() else -1
+        T, number = self.pose(id_), int(id_) if id_.isdecimal() else -1
         late = self._late_s.get(number, 0.0)
         for step in (1, -1) if late > 0 else (-1, 1):
             beside = self.id_of(number + step)
             if late == 0 or beside not in self.files or number + step not in self._stamps:
                 continue
             try:
-                T_beside = self.record(beside)
+                T_beside = self.pose(beside)
             except DataError:
                 continue  # it spoils its own frame only
             return between(T, T_beside, late / (self._stamps[number + step] - self._stamps[number]))
@@ -88,7 +144,7 @@ class Track:
     def _mercator_scale(self) -> float:
         """Return the Mercator projection's scale at the first record; where that is damaged, no frame has a pose."""
         try:
-            return float(np.cos(np.radians(_read_fields(next(iter(self.files.values())))[0])))
+            return float(np.cos(np.radians(_read_numbers(next(iter(self.files.values())))[0])))
         except DataError as error:
             raise DataError(f"{error}: it sets the drive's world, without it no frame has a pose") from error
 
@@ -120,24 +176,51 @@ def between(T_world_a: Matrix, T_world_b: Matrix, share: float) -> Matrix:
     return T
 
 
-def _read_fields(path: Path) -> npt.NDArray[np.float64]:
-    """Read latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad) from an oxts file."""
-    words = [word for line in read_lines(path) for word in line.words]
-    try:
-        values = np.array([float(word) for word in words[:6]])
-    except ValueError as error:
-        raise DataError(f"{path}: oxts fields are not numbers: download it again") from error
-    if values.size < 6 or not np.isfinite(values).all():
-        raise DataError(f"{path}: expected 6 finite oxts fields (lat lon alt roll pitch yaw), found {values.tolist()}")
-    return values
+def _sail(records: Sequence[Record], times_s: Floats) -> Floats | None:
+    """Return the positions (n, 3) by the records' velocities, Mercator metres; None where they lack them."""
+    if len(records) < 2 or not np.isfinite(times_s).all():
+        return None
+    forward, left, up = (_unless_empty(column) for column in np.array([record.velocity_m_s for record in records]).T)
+    yaw = np.array([record.yaw for record in records])
+    east = np.cos(yaw) * forward - np.sin(yaw) * left
+    north = np.sin(yaw) * forward + np.cos(yaw) * left
+    positions_m = np.array([record.T_mercator_imu[:3, 3] for record in records])
+    return dead_reckon(positions_m, np.stack([east, north, up], axis=1), times_s)
 
 
-def _read_pose(path: Path, scale: float) -> Matrix:
-    """Turn an oxts file into (4, 4): Mercator metres and Rz(yaw) Ry(pitch) Rx(roll), as KITTI's devkit does."""
-    latitude, longitude, altitude_m, roll, pitch, yaw = _read_fields(path)
+def _unless_empty(column: Floats) -> Floats:
+    """Return a column of the records, or NaN where it holds zeros only: it was not recorded."""
+    return column if np.nan_to_num(column).any() else np.full_like(column, np.nan)
+
+
+def _read_numbers(path: Path) -> Floats:
+    """Read an oxts file's columns as far as they are numbers.
+
+    Raises:
+        DataError: latitude, longitude (degrees), altitude (m), roll, pitch, yaw (rad) are not all there.
+    """
+    values = []
+    for word in (word for line in read_lines(path) for word in line.words):
+        try:
+            values.append(float(word))
+        except ValueError as error:
+            if len(values) < PLACE:
+                raise DataError(f"{path}: oxts fields are not numbers: download it again") from error
+            break
+    if len(values) < PLACE or not np.isfinite(values[:PLACE]).all():
+        found = values[:PLACE]
+        raise DataError(f"{path}: expected 6 finite oxts fields (lat lon alt roll pitch yaw), found {found}")
+    return np.array(values)
+
+
+def _read_record(path: Path, scale: float) -> Record:
+    """Read an oxts file: Mercator metres and Rz(yaw) Ry(pitch) Rx(roll), as KITTI's devkit does."""
+    values = _read_numbers(path)
+    latitude, longitude, altitude_m, roll, pitch, yaw = values[:PLACE]
     T = np.eye(4)
     T[:3, :3] = Rotation.from_euler("ZYX", [yaw, pitch, roll]).as_matrix()
     T[0, 3] = scale * EARTH_RADIUS_M * np.radians(longitude)
     T[1, 3] = scale * EARTH_RADIUS_M * np.log(np.tan(np.pi / 4 + np.radians(latitude) / 2))
     T[2, 3] = altitude_m
-    return T
+    velocity_m_s = values[VELOCITY] if len(values) >= VELOCITY.stop else np.full(3, np.nan)
+    return Record(T, np.where(np.isfinite(velocity_m_s), velocity_m_s, np.nan), float(yaw))

@@ -6,7 +6,8 @@
 Quirks kept here:
 - Everything is joined by frame id: drives miss scans, images may cover fewer frames than the LiDAR.
 - image_02 is not camera 0: each P_rect has its own offset, and the sweep goes through camera 0's rectification.
-- Poses come from oxts in metres. The world is the IMU's frame at the first oxts file (x forward, y left, z up).
+- Poses come from oxts in metres, dead-reckoned from the velocities where they are recorded (_oxts.py). The world is the
+  IMU's frame at the first oxts file (x forward, y left, z up).
 - The oxts record kept for a frame was taken up to 5 ms before or after it: _oxts.py interpolates.
 - A sweep is one turn of the scanner, not a moment: the cameras are triggered when it faces forward, what lies to the
   left was measured up to 50 ms before that, to the right after it.
@@ -34,12 +35,13 @@ from priors.drives._files import (
     read_key_values,
     read_sized,
     read_times,
+    revise,
     search,
     split_projection,
     stems,
 )
 from priors.drives._links import beside, homes
-from priors.drives._oxts import Track
+from priors.drives._oxts import DEAD_RECKONING, Track
 from priors.drives._rigs import KITTI
 from priors.drives._velodyne import SECONDS_PER_RADIAN, SWEEP_S, read_sweep_file
 from priors.errors import DataError
@@ -72,7 +74,8 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiRaw":
     """Open one drive; path is the drive's folder, or a parent of it with options.drive."""
     folder = choose(_drive_folders(path), options.drive, path, "a drive's folder (image_02/data, velodyne_points/data)")
     with_images = [name for name in ("image_02", "image_00", "image_03", "image_01") if _images(folder, name)]
-    return KittiRaw(folder, options.camera or next(iter(with_images), "image_02"), options.truth)
+    camera = options.camera or next(iter(with_images), "image_02")
+    return KittiRaw(folder, camera, options.truth, by_velocity=options.poses != "recorded")
 
 
 def _drive_folders(path: Path) -> list[Path]:
@@ -96,7 +99,9 @@ class KittiRaw(CameraDrive):
     pairs = (("image_00", "image_01"), ("image_02", "image_03"))
     usual_camera = "image_02"
 
-    def __init__(self, folder: Path, camera: str = "image_02", truth: Path | None = None) -> None:
+    def __init__(
+        self, folder: Path, camera: str = "image_02", truth: Path | None = None, *, by_velocity: bool = True
+    ) -> None:
         super().__init__(folder, camera, truth)
         folder, partner = self.folder, self.paired_camera()
         self.images = _images(folder, camera)
@@ -105,7 +110,7 @@ class KittiRaw(CameraDrive):
             raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
         self._sweeps = joined(self.images, stems(follow(folder / "velodyne_points") / "data", [".bin"]))
         self._by_number = by_number({**self._sweeps, **self.images})
-        self._track = Track(follow(folder / "oxts"))
+        self._track = Track(follow(folder / "oxts"), by_velocity=by_velocity)
         self._homes = homes(folder, follow(folder / camera) / "data")
         self._files = {name: beside(self._homes, name) for name in (CAMERAS_FILE, VELO_FILE, IMU_FILE)}
         self.calibration = read_calibration(self._files, camera)
@@ -117,7 +122,13 @@ class KittiRaw(CameraDrive):
 
     def describe(self) -> dict[str, Any]:
         """Return what a manifest records; where the folder is a link, the path is its target's."""
-        return {**super().describe(), "path": str(self.folder.resolve())}
+        described = {**super().describe(), "path": str(self.folder.resolve())}
+        return {**described, "poses": "dead-reckoned"} if self._track.dead_reckoned else described
+
+    def fingerprint(self) -> str:
+        """Digest what places the images; other poses of the same files have another one."""
+        of_files = super().fingerprint()
+        return revise(of_files, DEAD_RECKONING) if self._track.dead_reckoned else of_files
 
     def sources(self) -> list[Path]:
         """List the files of calibration and poses."""

@@ -6,6 +6,10 @@
 | .obj | text               | 0..1, sRGB, behind a vertex's coordinates | MeshLab, Blender                   |
 | .glb | float32            | 16 bits, linear, as glTF 2.0 asks         | Blender, three.js, Windows, macOS  |
 
+Far from the world's zero float32 is too coarse. Vertices are therefore float32 near an origin, and the files hold the
+drive's own coordinates all the same: a .ply as doubles, an .obj as text of more digits, a .glb as the translation of
+its node.
+
 They are written here and not by open3d: its writers (0.20) tell of no full disk, and its GLB puts the data into a text
 that many programs refuse.
 """
@@ -33,13 +37,24 @@ class Triangles:
     """A mesh of n vertices and m triangles."""
 
     vertices_m: FloatMap
-    """(n, 3) float32 metres."""
+    """(n, 3) float32 metres from the origin."""
     normals: FloatMap
     """(n, 3) float32, unit."""
     colours: npt.NDArray[np.uint8]
     """(n, 3) RGB, sRGB as in images."""
     faces: npt.NDArray[np.integer]
     """(m, 3) vertices of each triangle, anticlockwise as seen from outside."""
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Where the vertices' frame begins in the drive's world frame, metres."""
+
+    @property
+    def moved(self) -> bool:
+        """Whether the vertices' frame is not the drive's."""
+        return any(self.origin_m)
+
+    def places_m(self) -> npt.NDArray[np.floating]:
+        """Return the vertices (n, 3) in the drive's world frame: float64 where it is moved, else as they are."""
+        return self.vertices_m.astype(np.float64) + self.origin_m if self.moved else self.vertices_m
 
 
 def check_name(path: Path) -> None:
@@ -56,13 +71,14 @@ def write_triangles(path: Path, mesh: Triangles) -> None:
 
 def ply(mesh: Triangles) -> bytes:
     """Return a binary little-endian PLY file."""
-    kinds = {**dict.fromkeys(("x", "y", "z", "nx", "ny", "nz"), "float")}
+    place, wide = ("double", "<f8") if mesh.moved else ("float", "<f4")
+    kinds = dict.fromkeys(("x", "y", "z"), place) | dict.fromkeys(("nx", "ny", "nz"), "float")
     kinds |= dict.fromkeys(("red", "green", "blue"), "uchar")
     head = ["ply", "format binary_little_endian 1.0", f"comment {COMMENT}", f"element vertex {len(mesh.vertices_m)}"]
     head += [f"property {kind} {name}" for name, kind in kinds.items()]
     head += [f"element face {len(mesh.faces)}", "property list uchar uint vertex_indices", "end_header"]
-    vertices = np.zeros(len(mesh.vertices_m), [("place", "<f4", 3), ("normal", "<f4", 3), ("colour", "u1", 3)])
-    vertices["place"], vertices["normal"], vertices["colour"] = mesh.vertices_m, mesh.normals, mesh.colours
+    vertices = np.zeros(len(mesh.vertices_m), [("place", wide, 3), ("normal", "<f4", 3), ("colour", "u1", 3)])
+    vertices["place"], vertices["normal"], vertices["colour"] = mesh.places_m(), mesh.normals, mesh.colours
     faces = np.zeros(len(mesh.faces), [("count", "u1"), ("corners", "<u4", 3)])
     faces["count"], faces["corners"] = 3, mesh.faces
     return "".join(f"{line}\n" for line in head).encode() + vertices.tobytes() + faces.tobytes()
@@ -72,8 +88,9 @@ def obj(mesh: Triangles) -> bytes:
     """Return an OBJ file; colours follow the coordinates, as MeshLab writes them."""
     text = io.StringIO()
     text.write(f"# {COMMENT}\n")
-    vertices = np.concatenate([mesh.vertices_m, mesh.colours / np.float32(255)], axis=1)
-    np.savetxt(text, vertices, "v %.6g %.6g %.6g %.4g %.4g %.4g")
+    vertices = np.concatenate([mesh.places_m(), mesh.colours / np.float32(255)], axis=1)
+    place = "%.4f %.4f %.4f" if mesh.moved else "%.6g %.6g %.6g"
+    np.savetxt(text, vertices, f"v {place} %.4g %.4g %.4g")
     np.savetxt(text, mesh.normals, "vn %.4g %.4g %.4g")
     np.savetxt(text, np.repeat(mesh.faces + 1, 2, axis=1), "f %d//%d %d//%d %d//%d")
     return text.getvalue().encode()
@@ -100,7 +117,7 @@ def glb(mesh: Triangles) -> bytes:
         "asset": {"version": "2.0", "generator": "roadprior", "extras": {"comment": COMMENT}},
         "scene": 0,
         "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
+        "nodes": [{"mesh": 0, **({"translation": list(mesh.origin_m)} if mesh.moved else {})}],
         "meshes": [{"primitives": [{"attributes": attributes, "indices": 3, "material": 0}]}],
         "materials": [{"pbrMetallicRoughness": {"metallicFactor": 0, "roughnessFactor": 1}, "doubleSided": True}],
         "accessors": accessors,

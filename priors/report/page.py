@@ -1,74 +1,46 @@
-"""A report page: one HTML file with tables, plots (inline SVG), pictures (inline JPEG) and the commands that made them.
+"""A report page: one HTML file that loads nothing. Chapters hold sections, sections blocks (blocks.py, wipe.py).
 
-It loads nothing: no script, no font, no other file. `page.html.j2` beside this file is its template (Jinja2).
+Its style and scripts stand in the file; the only scripts that a browser runs are those two, by their hash. The same
+content gives the same bytes.
 """
 
 import base64
-import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar, Protocol
 
 from eval.files import write_bytes
-from eval.typeset import Table
-from priors import codecs
-from priors.draw import lines
-from priors.draw.lines import Plot
-from priors.types import Image
 
 SUFFIX = ".html"
-TEMPLATE = "page.html.j2"
-PICTURED = 4
-"""Frames that a page has pictures of, where there are many."""
-JPEG_QUALITY = 82
-"""A comparison of 1240 px is then about 150 kB."""
+TEMPLATES = Path(__file__).parent / "templates"
+SCRIPTS = ("table.js", "wipe.js")
 
 
-@dataclass(frozen=True, slots=True)
-class Figure:
-    """Plots that stand together."""
+class Block(Protocol):
+    """What stands in a section: its template draws it, and finds it there as `block`."""
 
-    plots: Sequence[Plot]
-    columns: int = 1
-    caption: str = ""
-
-    def svg(self) -> str:
-        """Return the drawing as an <svg> element."""
-        return element(lines.svg(self.plots, self.columns))
-
-
-@dataclass(frozen=True, slots=True)
-class Picture:
-    """A picture with its caption, which is also what a screen reader says."""
-
-    caption: str
-    image: Image
-    """(height, width, 3) RGB."""
-
-    def url(self) -> str:
-        """Return the picture as a data URL."""
-        data = codecs.encode_image(Path(f"{self.caption}.jpg"), self.image, JPEG_QUALITY)
-        return f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
+    template: ClassVar[str]
+    """A file of templates/."""
 
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of a page under one heading; what is empty is left out."""
+    """Blocks under one heading; a section without blocks is left out."""
 
     title: str
-    text: str = ""
-    table: Table | None = None
-    figures: Sequence[Figure] = ()
-    pictures: Sequence[Picture] = ()
-    facts: Mapping[str, str] = field(default_factory=dict)
-    """Names and values, a line each."""
-    commands: Sequence[str] = ()
-    """As typed."""
+    blocks: Sequence[Block]
 
-    @property
-    def empty(self) -> bool:
-        """Whether there is nothing under the heading."""
-        return not (self.text or self.table or self.figures or self.pictures or self.facts or self.commands)
+
+@dataclass(frozen=True, slots=True)
+class Chapter:
+    """Sections that belong together: of a drive's priors, of its fields."""
+
+    title: str
+    lead: str
+    """One paragraph: what was scored, against what."""
+    sections: Sequence[Section]
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,41 +49,59 @@ class Page:
 
     title: str
     lead: str
-    """One paragraph: what was scored, against what."""
-    sections: Sequence[Section]
+    """One paragraph."""
+    chapters: Sequence[Chapter]
+    command: str = ""
+    """What made the page, as typed."""
 
     def html(self) -> str:
         """Return the page; its text is escaped, whatever a folder or a drive is called."""
         from jinja2 import Environment, FileSystemLoader, StrictUndefined  # here, so that --help is quick
 
         environment = Environment(
-            loader=FileSystemLoader(Path(__file__).parent),
+            loader=FileSystemLoader(TEMPLATES),
             autoescape=True,
             undefined=StrictUndefined,
             trim_blocks=True,
             lstrip_blocks=True,
         )
-        shown = [section for section in self.sections if not section.empty]
-        drawn = _number_ids([[figure.svg() for figure in section.figures] for section in shown])
-        return environment.get_template(TEMPLATE).render(page=self, sections=zip(shown, drawn, strict=True))
+        script = "\n" + "".join(asset(name) for name in SCRIPTS)
+        return environment.get_template("page.html.j2").render(
+            page=self,
+            chapters=[(chapter, _numbered(chapter, place)) for place, chapter in enumerate(self.chapters)],
+            style=asset("style.css"),
+            script=script,
+            script_hash=base64.b64encode(hashlib.sha256(script.encode()).digest()).decode(),
+            number=_Number(),
+        )
 
     def write(self, path: Path) -> None:
         """Write the page, atomically."""
         write_bytes(path, self.html().encode())
 
 
-def element(svg: str) -> str:
-    """Return the <svg> element of an SVG file, without the file's declarations."""
-    return svg[svg.index("<svg") :].strip()
+class _Number:
+    """Counts from 1: what makes the ids of a page different."""
+
+    def __init__(self) -> None:
+        self.count = 0
+
+    def __call__(self) -> int:
+        self.count += 1
+        return self.count
 
 
-def _number_ids(drawn: Sequence[Sequence[str]]) -> list[list[str]]:
-    """Make the ids of all drawings different: a page may hold each id once."""
-    count = 0
-    numbered: list[list[str]] = []
-    for drawings in drawn:
-        numbered.append([])
-        for svg in drawings:
-            count += 1
-            numbered[-1].append(re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>s{count}-", svg))
-    return numbered
+def asset(name: str) -> str:
+    """Return the text of a file of templates/."""
+    return (TEMPLATES / name).read_text("utf-8")
+
+
+def data_url(data: bytes, media_type: str) -> str:
+    """Return a file's bytes as an address that holds them."""
+    return f"data:{media_type};base64,{base64.b64encode(data).decode()}"
+
+
+def _numbered(chapter: Chapter, place: int) -> list[tuple[str, Any]]:
+    """Return the chapter's sections that are not empty, each after its anchor."""
+    shown = [section for section in chapter.sections if section.blocks]
+    return [(f"part-{place + 1}-{number}", section) for number, section in enumerate(shown, 1)]

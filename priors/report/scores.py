@@ -1,6 +1,7 @@
-"""The report page of a drive's priors: their figures, their errors by distance and by confidence, pictures."""
+"""The page of drives' priors: their figures, pictures, errors by distance and by confidence, and how they were made."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -8,73 +9,113 @@ from eval import table
 from eval.curves import Curves
 from eval.result import Result
 from priors.cache import Prior
-from priors.draw.comparison import compare
 from priors.draw.lines import Line, Plot
-from priors.report.page import PICTURED, Figure, Page, Picture, Section
-from priors.selection import pick_middles, select
-from priors.types import Drive
+from priors.report.blocks import Figure, Paragraph, Ranking, Record, Records
+from priors.report.page import Block, Chapter, Page, Section
+from priors.report.typed import build_command
+from priors.report.wipe import Wipe, fit_into
 
 BY_RANGE = ("abs_rel", "rmse")
 """What is drawn by true distance."""
-TILE_PX = 400
-"""Width of each map there."""
+BEST = "The best figure of a column stands out, the second is underlined. A click on a head sorts."
 
 
-def scores_page(
-    results: Sequence[Result],
-    keys: Sequence[str] | None,
-    curves: Mapping[str, Sequence[Curves]],
-    pictures: Sequence[Picture],
-    command: str,
-) -> Page:
-    """Lay out the page of one drive's results.
+@dataclass(frozen=True)
+class DriveScores:
+    """What one drive's priors score, and what a page shows beside it."""
+
+    results: list[Result]
+    """A row of the table each, scored by one protocol; none where there is no truth."""
+    curves: dict[str, list[Curves]] = field(default_factory=dict)
+    """By a prior's name, of those with a confidence, where curves were asked for."""
+    wipe: Wipe | None = None
+    """Where a page was asked for."""
+    priors: dict[str, Prior] = field(default_factory=dict)
+    """By name; none where only result files are left."""
+    left_out: dict[str, str] = field(default_factory=dict)
+    """What could not be scored or kept -> why."""
+    name: str = ""
+    """The drive's name; empty: what the results say."""
+
+    @property
+    def drive(self) -> str:
+        """Return the drive's name; empty where nothing says it."""
+        return self.name or (str(self.results[0].info.get("drive", "")) if self.results else "")
+
+
+def scores_page(scored: Sequence[DriveScores], keys: Sequence[str] | None, command: str, room: int) -> Page:
+    """Lay out the page of drives' priors.
 
     Args:
-        results: a row of the table each, scored by one protocol.
-        keys: the table's columns; None: the protocol's usual ones.
-        curves: by a prior's name, of the priors that have a confidence.
-        pictures: of some frames.
+        scored: of each drive.
+        keys: the tables' columns; None: the protocol's usual ones.
         command: what made the page.
+        room: how many bytes the pictures may take.
 
     Raises:
-        ScoreError: the protocols differ, or a key is unknown.
+        ScoreError: the protocols of one drive's results differ, or a key is unknown.
     """
-    drives = sorted({str(result.info["drive"]) for result in results if "drive" in result.info})
-    rows = [plot for name, made in curves.items() for plot in sparsification(name, made)]
-    columns = max((len(made) for made in curves.values()), default=1)
-    sparsified = [Figure(rows, columns)] if rows else []
-    return Page(
-        f"Depth priors of {', '.join(drives)}" if drives else "Depth priors",
-        "Depth maps scored against the truth. The best figure of a column is bold, the second underlined.",
+    drives = [each.drive for each in scored if each.drive]
+    chapters = [priors_chapter(each, keys) for each in within(scored, room)]
+    title = f"Depth priors of {', '.join(drives)}" if drives else "Depth priors"
+    return Page(title, "Depth maps of a drive, made from its sensors, and what they are worth.", chapters, command)
+
+
+def within(scored: Sequence[DriveScores], room: int) -> list[DriveScores]:
+    """Leave pictured frames out, evenly, until all pictures fit into `room` bytes."""
+    wipes = iter(fit_into([each.wipe for each in scored if each.wipe is not None], room))
+    return [each if each.wipe is None else replace(each, wipe=next(wipes)) for each in scored]
+
+
+def priors_chapter(scored: DriveScores, keys: Sequence[str] | None) -> Chapter:
+    """Lay out one drive's priors."""
+    plots = [plot for name, made in scored.curves.items() for plot in sparsification(name, made)]
+    columns = max(map(len, scored.curves.values()), default=1)
+    missing = [f"{what}: {why}" for what, why in scored.left_out.items()]
+    figures: list[Block] = []
+    if scored.results:
+        figures = [
+            Ranking(table.table_of(scored.results, keys or table.brief_first(scored.results))),
+            *(Paragraph(f"Left out: {line}") for line in missing),
+        ]
+    elif missing:
+        figures = [Paragraph(f"Not scored: {line}") for line in missing]
+    return Chapter(
+        f"Depth priors of {scored.drive}" if scored.drive else "Depth priors",
+        f"Scored against the drive's own truth. {BEST}" if scored.results else "",
         [
-            Section("Figures", table=table.table_of(results, keys)),
-            Section("Error by true distance", figures=[Figure(by_range(results), len(BY_RANGE))]),
-            Section("Sparsification: the error as the least confident pixels are dropped", figures=sparsified),
-            Section("Frames", pictures=pictures),
-            Section("How it was made", commands=[command]),
+            Section("Table", figures),
+            Section("Frames", [] if scored.wipe is None else [scored.wipe]),
+            Section("Error by true distance", [Figure(by_range(scored.results))] if scored.results else []),
+            Section("Sparsification", [Paragraph(SPARSIFICATION), Figure(plots, columns)] if plots else []),
+            Section("How the priors were made", [records(scored.priors)] if scored.priors else []),
         ],
     )
 
 
-def picture_frames(
-    drive: Drive, priors: Sequence[Prior], names: Sequence[str], frames: str | None = None
-) -> list[Picture]:
-    """Draw the maps of some frames that are spread evenly over those with maps.
+SPARSIFICATION = (
+    "The error of what is kept as the least confident pixels are dropped. A useful confidence lies below 'farthest "
+    "first' and near the oracle, which drops the largest errors first."
+)
 
-    Args:
-        drive: the drive of all the priors.
-        priors: whose maps.
-        names: what to call each.
-        frames: only of this range of frames, a:b.
-    """
-    cached = {id_ for prior in priors for id_ in prior.ids()}
-    indices = [index for index in select(drive.ids, frames) if drive.ids[index] in cached]
-    pictures = []
-    for index in pick_middles(indices, PICTURED):
-        frame = drive[index]
-        rows = [(name, prior.read(frame.id)) for name, prior in zip(names, priors, strict=True) if prior.has(frame.id)]
-        pictures.append(Picture(f"frame {frame.id}", compare(frame, rows, TILE_PX)))
-    return pictures
+
+def records(priors: Mapping[str, Prior]) -> Records:
+    """Say how each prior was made: its settings, and the command that makes it anew."""
+    return Records([Record(name, facts(prior), [build_command(prior)]) for name, prior in priors.items()])
+
+
+def facts(prior: Prior) -> dict[str, str]:
+    """Name what a manifest says of a prior: method, settings, filters, weights, drive."""
+    manifest = prior.manifest
+    found = {
+        "method": f"{prior.method}, version {manifest.get('version', 1)}",
+        "drive": f"{prior.drive.get('path', prior.drive['name'])}, camera {prior.drive.get('camera')}",
+        "maps": f"{len(prior.ids())} frames in {prior.folder}",
+        **{name: _text(value) for name, value in manifest.get("config", {}).items() if value is not None},
+        **{f"filter {name}": _text(value) for name, value in manifest.get("filters", {}).items()},
+    }
+    weights = manifest.get("weights")
+    return found | ({"weights": _text(weights)} if weights else {})
 
 
 def sparsification(name: str, made: Sequence[Curves]) -> list[Plot]:
@@ -110,3 +151,12 @@ def _axis(key: str) -> str:
     """Name a metric as an axis does: with its unit."""
     column = table.COLUMNS[key]
     return f"{column.label}, {column.unit}" if column.unit else column.label
+
+
+def _text(value: object) -> str:
+    """Write a setting."""
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_text(inner)}" for name, inner in value.items()) or "-"
+    if isinstance(value, list | tuple):
+        return " ".join(map(_text, value))
+    return f"{value:.6g}" if isinstance(value, float) else str(value)

@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from nerf.kernels.cpu import composite
+from nerf.kernels.cpu import sky as environment
+from nerf.twin import sky as plain
 from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples, Target
 from priors.machine import threads
 
@@ -70,6 +72,21 @@ def interlevel(
     _run(composite.interlevel, len(scale), arrays, (loss, d_coarse))
     d_coarse[coarse.used :] = 0
     return loss, d_coarse
+
+
+def look(texels: Tensor, units: Tensor, sizes: tuple[int, ...]) -> Tensor:
+    """Return the sums of the sky's pictures; the loops know float32 alone: elsewhere the twin answers."""
+    if units.dtype != torch.float32:
+        return plain.look(texels, units, sizes)
+    sums = torch.empty(len(units), 3)
+    _run(environment.look, len(units), (texels, units, sizes), (sums,))
+    return sums
+
+
+def paint(d_sums: Tensor, units: Tensor, sizes: tuple[int, ...], d_texels: Tensor) -> None:
+    """Set the texels' gradient."""
+    arrays = (x.contiguous().numpy() for x in (d_sums, units))
+    environment.paint(*arrays, sizes, d_texels.numpy())
 
 
 def _run(loop: Any, rays: int, read: tuple[Any, ...], filled: tuple[Tensor, ...]) -> None:

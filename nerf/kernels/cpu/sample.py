@@ -8,8 +8,11 @@ import torch
 from torch import Tensor
 
 from nerf.kernels.plain import sample as plain
-from nerf.types import Course, Histogram, Samples, padded_count
+from nerf.types import Course, Extent, Histogram, Samples, padded_count
 from priors.machine import threads
+
+PRUNED = 1 << 18
+"""Cells of a task that prunes; the mean is added up part by part, so that threads change nothing."""
 
 
 def pick(course: Course, kept: Tensor | None, resolution: int) -> Samples:
@@ -78,6 +81,47 @@ def resample(histogram: Histogram, targets: Tensor) -> Tensor:
     read = (samples.offsets.numpy(), *packed, targets.numpy(), histogram.margin, histogram.anneal)
     threads.over(rays, lambda first, last: invert(*read, ends, first, last))
     return torch.from_numpy(ends)
+
+
+def stretch(u: Tensor, table: Tensor, extent: Extent) -> Tensor:
+    """Return the metres (n,) that one unit of u spans at u (n, 3)."""
+    if u.dtype != torch.float32:
+        return plain.stretch(u, table, extent)
+    from nerf.kernels.cpu.occupancy import stretch as loop
+
+    out, places, tables = np.empty(len(u), np.float32), u.T.contiguous().numpy(), table.contiguous().numpy()
+    numbers = _extent(extent)
+    threads.over(len(u), lambda first, last: loop(places, tables, numbers, out, first, last))
+    return torch.from_numpy(out)
+
+
+def note(thickness: Tensor, u: Tensor, table: Tensor, sigma: Tensor, extent: Extent, decay: float) -> None:
+    """Note densities in an occupancy grid; one task: cells are shared."""
+    from nerf.kernels.cpu.occupancy import note as loop
+
+    arrays = (x.contiguous().numpy() for x in (u.T, table, sigma))
+    loop(thickness.view(-1).numpy(), *arrays, thickness.shape[-1], _extent(extent), np.float32(decay))
+
+
+def prune(thickness: Tensor, allowed: Tensor, thin: float, kept: Tensor) -> None:
+    """Decide which cells of an occupancy grid are kept."""
+    from nerf.kernels.cpu.occupancy import prune as loop
+    from nerf.kernels.cpu.occupancy import total
+
+    cells = thickness.view(-1).numpy()
+    parts = [(first, min(first + PRUNED, cells.size)) for first in range(0, cells.size, PRUNED)]
+    sums = np.zeros((len(parts), 2))
+    threads.run(len(parts), lambda part: total(cells, sums[part], *parts[part]))
+    found, count = sums.sum(axis=0)
+    limit = np.float32(min(thin, found / count) if count else thin)
+    flat, out = allowed.view(-1).numpy(), kept.view(-1).numpy()
+    threads.run(len(parts), lambda part: loop(cells, flat, limit, out, *parts[part]))
+
+
+def _extent(extent: Extent) -> tuple[int, np.float32, np.float32, np.float32]:
+    """Return the kind, the metres that u spans inside and (at |place| = 1) outside, and 1 / the farthest place."""
+    inner, outer, nearest = 2 * extent.mean_m, 4 * extent.mean_m, 1 / extent.farthest
+    return extent.kind, np.float32(inner), np.float32(outer), np.float32(nearest)
 
 
 def trace(segments: tuple[npt.NDArray[Any], ...], kind: int, resolution: int, grid: npt.NDArray[np.uint8]) -> None:

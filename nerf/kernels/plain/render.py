@@ -6,6 +6,8 @@ import torch
 from torch import Tensor
 
 from nerf.twin import render as twin
+from nerf.twin.sky import look as look
+from nerf.twin.sky import paint as paint
 from nerf.types import Gradients, Rendered, Samples, Target
 
 

@@ -4,6 +4,9 @@ import torch
 from torch import Tensor
 
 from nerf.twin import sample as twin
+from nerf.twin.occupancy import note as note
+from nerf.twin.occupancy import prune as prune
+from nerf.twin.space import stretch as stretch
 from nerf.types import Course, Histogram, Samples, padded_count
 
 

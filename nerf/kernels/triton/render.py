@@ -4,6 +4,8 @@ import torch
 from torch import Tensor
 
 from nerf.kernels.triton import composite
+from nerf.twin.sky import look as look
+from nerf.twin.sky import paint as paint
 from nerf.types import OPACITY_FLOOR, Gradients, Rendered, Samples, Target
 
 _RAYS = 32

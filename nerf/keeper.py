@@ -1,0 +1,58 @@
+"""Keeper: writes a fit's checkpoints, soon after it began and then at times; only good ones, only in its own folder."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from nerf.checkpoint import Spent, save
+from nerf.finite import NotFiniteError, bad_tensor
+from nerf.model import Model
+from nerf.origin import Offset
+from priors.errors import DataError
+
+FIRST_S = 4.0
+"""Training before the first checkpoint: a kill costs no more than that, and the file is there within 5 s."""
+EVERY_S = 30.0
+"""From one checkpoint to the next."""
+
+
+class LostError(DataError):
+    """A fit whose folder another process has taken over."""
+
+
+@dataclass
+class Keeper:
+    """Keeps one fit's model; `kept` is what its checkpoint has spent."""
+
+    run: Path
+    model: Model
+    origin_m: Offset
+    kept: Spent
+    lost: Callable[[], bool] = lambda: False
+    """Whether another process has taken the folder over."""
+    due_s: float = field(default_factory=lambda: time.perf_counter() + FIRST_S)
+    """When the next checkpoint is due, by time.perf_counter."""
+
+    def keep_if_due(self, spent: Spent) -> None:
+        """Write a checkpoint where it is time."""
+        if time.perf_counter() >= self.due_s:
+            self.keep(spent)
+
+    def keep(self, spent: Spent) -> None:
+        """Write a checkpoint, unless there is nothing new.
+
+        Raises:
+            NotFiniteError: the model is no good any more; the checkpoint before is left.
+            LostError: the folder is another process's now; its files are left alone.
+        """
+        if spent.step == self.kept.step:
+            return
+        if self.lost():
+            raise LostError(f"{self.run}: another process took this run over while this one stood still: it goes on")
+        bad = bad_tensor(self.model.state())
+        if bad is not None:
+            raise NotFiniteError(f"{bad} is not finite after step {spent.step}")
+        save(self.run, self.model, spent, self.origin_m)
+        self.kept = spent
+        self.due_s = time.perf_counter() + EVERY_S
