@@ -16,10 +16,10 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import checkpoint, journal, origin
+from nerf import checkpoint, fields, journal, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
-from nerf.model import Model
+from nerf.model import Model, ShowsScene
 from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
@@ -148,7 +148,7 @@ class Run:
             lpips: None leaves that figure out.
             info: what the report says was run; default: what a study wrote of this run, else its name and config.
         """
-        model = checkpoint.open_model(self.folder, pick_device(device))
+        model = self._model(device)
         truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
         subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
         with threads.limited(None), self.progress(f"views of {self.name}", len(self.scene.test)) as step:
@@ -156,8 +156,7 @@ class Run:
 
     def open_model(self, device: str = "auto") -> Model:
         """Load the trained field; it renders poses of the drive's own frame."""
-        model = checkpoint.open_model(self.folder, pick_device(device))
-        return PlacedModel(model, checkpoint.origin_of(self.folder) or origin.NONE)
+        return PlacedModel(self._model(device), checkpoint.origin_of(self.folder) or origin.NONE)
 
     def viewpoints(self, frames: str | None = None) -> Viewpoints:
         """Return where the drive's camera was, in a range of frames a:b; None: the run's."""
@@ -170,6 +169,13 @@ class Run:
             for id_, pose in zip(views.ids, views.T_world_cam, strict=True):
                 save_view(folder, id_, model.render(pose, views.camera))
                 step()
+
+    def _model(self, device: str) -> Model:
+        """Load the trained field in the scene's frame; one that shows the run's own frames is given them."""
+        model = checkpoint.open_model(self.folder, pick_device(device))
+        if isinstance(model, ShowsScene):
+            model.show(self.scene)
+        return model
 
     def _info(self) -> dict[str, Any]:
         """Return what a study wrote of the run, so that it still finds it done; else the run's name and config."""
@@ -205,7 +211,8 @@ def begin(
     """
     scene, fit = scene or SceneConfig(), fit or FitConfig()
     if folder is None:
-        parts = [] if prior is None else [fit.losses.loss, prior.name]
+        loss = [fit.losses.loss] if fields.is_trained(fit.model.family) else []
+        parts = [] if prior is None else [*loss, prior.name]
         folder = Path("runs") / "-".join([drive.name, fit.model.family, scene.views, *parts])
     return replace(claim(folder, RunConfig.of(drive, prior, scene, fit)), progress=progress, source=drive)
 

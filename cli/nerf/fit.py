@@ -96,6 +96,9 @@ def run(arguments: list[str]) -> int:
 
 def _fit(args: FitArguments, typed: list[str]) -> int:
     config, scene = args.config(), args.scene()
+    trained = fields.is_trained(args.field)
+    if args.prior is None and not trained:
+        raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
     drive, prior = open_sources(args, args.prior, typed)
     this_run = begin(drive, prior, scene, config, args.run, progress)
     if len(this_run.scene.train) == 1:
@@ -103,7 +106,7 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
     before = checkpoint.spent(this_run.folder)
     with fit_progress(this_run.name) as on_step:
         this_run.fit(args.device, on_step)
-    if before.step == checkpoint.spent(this_run.folder).step:
+    if trained and before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
     if this_run.scene.test:
         print_table([this_run], [this_run.report(args.device, args.lpips.open())])
