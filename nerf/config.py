@@ -16,7 +16,7 @@ class ModelConfig:
     """What is trained."""
 
     family: str = "ngp"
-    """Which family of fields: ngp, mip360 or nerfpp."""
+    """Which family of fields: ngp, mip360, nerfpp, warp, or one of yours."""
     log2_size: int = 17
     """Rows of the hash grid's levels, as a power of two."""
     finest: int = 2048

@@ -11,7 +11,7 @@ from typing import TextIO
 from torch import Tensor
 
 from nerf import fields, journal
-from nerf.checkpoint import Spent, resume
+from nerf.checkpoint import Spent, resume, save
 from nerf.config import FitConfig
 from nerf.finite import NotFiniteError, bad_terms, cause
 from nerf.keeper import Keeper, LostError
@@ -70,7 +70,7 @@ def fit(
     device: str = "cpu",
     lost: Callable[[], bool] = lambda: False,
 ) -> Model:
-    """Train until the budget is spent, or go on where the run's checkpoint left off.
+    """Train until the budget is spent, or go on where the run's checkpoint left off; without parameters, only save.
 
     Checkpoints are written soon after the beginning, then every half minute (nerf/keeper.py), at the end, and when
     interrupted; metrics.jsonl gets a line every LOG_EVERY steps.
@@ -88,6 +88,9 @@ def fit(
             loss is not finite any more; or the run is another process's now.
     """
     model = fields.family(config.model.family).start(scene, config, device)
+    if not model.parameters():
+        save(run, model, Spent(), scene.origin_m)
+        return model
     done = resume(run, model)
     run.mkdir(parents=True, exist_ok=True)
     journal.cut(run, done.step)

@@ -5,7 +5,7 @@ nothing outside of a family asks how.
 """
 
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 from torch import Tensor
 
@@ -62,8 +62,20 @@ class Model(Protocol):
         """Return what else `Family.open` needs to make this model again; anything JSON holds."""
 
 
+@runtime_checkable
+class ShowsScene(Protocol):
+    """A model that renders from its scene's frames, not from its checkpoint alone."""
+
+    def show(self, scene: Scene) -> None:
+        """Take the frames; DataError where they are not those that the model was made of."""
+
+
 class Family(Protocol):
-    """What a file in nerf/fields/ offers as FAMILY."""
+    """What a file in nerf/fields/ offers as FAMILY.
+
+    A family whose models learn nothing says so: `trained = False`. Its models have no parameters, a fit makes them at
+    once, and a study makes them once a prior, whatever the losses and seeds are.
+    """
 
     def start(self, scene: Scene, config: FitConfig, device: str) -> Model:
         """Make an untrained model of a scene."""

@@ -12,6 +12,7 @@ import numpy as np
 from eval import typeset
 from eval.typeset import Column, Table
 from nerf import journal
+from nerf.baseline import unbeaten
 from nerf.config import FitConfig
 from nerf.report import Report
 from nerf.run import Run, names_of
@@ -102,7 +103,7 @@ def lay_out(names: Sequence[str], reports: Sequence[Report]) -> Table:
     columns = {key: column for key, column in COLUMNS.items() if key in have}
     caption = f"{reports[0].protocol.describe()}; {len(reports[0].frames)} held-out views"
     remarks = list(dict.fromkeys(remark for each in reports for remark in each.remarks))
-    return typeset.lay_out(("run",), columns, rows, caption, remarks)
+    return typeset.lay_out(("run",), columns, rows, caption, remarks + unbeaten(names, reports))
 
 
 def key_figures(scored: FieldScores) -> KeyFigures | None:

@@ -27,11 +27,10 @@ from priors.cache import Prior
 from priors.drives import poses_of
 from priors.errors import DataError
 from priors.filters import Filters
-from priors.selection import parse_range, select
+from priors.motion import trajectory
+from priors.selection import parse_range, range_of, select
 from priors.types import Camera, Depth, Drive
 
-LARGEST_STEP_M = 30.0
-"""Camera motion between neighbouring frames beyond which poses are taken to have jumped, metres."""
 ProgressBar: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
 """Opens a progress bar of a label and a number of frames; yields what is called after each."""
 
@@ -203,7 +202,7 @@ class _Preparation:
         return self.filters(depth, frame)
 
     def _poses(self) -> npt.NDArray[np.float64]:
-        """Collect the poses; DataError where one is missing, not finite, or far from its neighbour."""
+        """Collect the poses; DataError where one is missing, not finite, or where they break."""
         name, poses = self.drive.name, []
         for position in self.positions:
             frame = self.drive[position]
@@ -214,14 +213,22 @@ class _Preparation:
                     f"{name}: frame {frame.id} has no pose: a field needs poses (`priors check` tells more)"
                 )
             poses.append(frame.T_world_cam)
-        stacked = np.array(poses)
-        steps_m = np.linalg.norm(np.diff(stacked[:, :3, 3], axis=0), axis=1)
-        allowed_m = np.maximum(LARGEST_STEP_M, 5 * np.median(steps_m)) if len(steps_m) else 0
-        jumps = np.flatnonzero(steps_m > allowed_m)
-        if len(jumps):
-            at = self.ids[int(jumps[0]) + 1]
-            raise DataError(f"{name}: the pose jumps {steps_m[jumps[0]]:.0f} m before frame {at}: cut with --frames")
-        return stacked
+        self._expect_unbroken(np.array(poses))
+        return np.array(poses)
+
+    def _expect_unbroken(self, poses: npt.NDArray[np.float64]) -> None:
+        """Raise DataError, with the longest part, where the path of the poses (n, 4, 4) breaks."""
+        ids, path = self.ids, trajectory(self.drive)
+        first, end = path.longest(ids)
+        if end - first == len(ids):
+            return
+        cut = next(n for n in range(1, len(ids)) if path.broken(ids[n - 1], ids[n]))
+        moved_m = float(np.linalg.norm(poses[cut, :3, 3] - poses[cut - 1, :3, 3]))
+        part = range_of(self.drive.ids, self.positions[first], self.positions[end - 1] + 1)
+        raise DataError(
+            f"{self.drive.name}: the pose jumps {moved_m:.1f} m from frame {ids[cut - 1]} to {ids[cut]}, and a field "
+            f"needs one path: use --frames {part}, its longest part ({end - first} of {len(ids)} frames)"
+        )
 
 
 def _digest(*parts: str) -> str:

@@ -17,10 +17,10 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import checkpoint, journal, origin
+from nerf import checkpoint, fields, journal, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
-from nerf.model import Model
+from nerf.model import Model, ShowsScene
 from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
@@ -76,8 +76,9 @@ class RunConfig:
 
     @property
     def title(self) -> str:
-        """What the run is, as its usual folder's name ends: <field>-<views>, and <loss>-<prior> where it has one."""
-        guide = [] if self.prior is None else [self.fit.losses.loss, Path(self.prior).name]
+        """What the run is, as its usual folder's name ends: <field>-<views>, and <loss>-<prior> where it has them."""
+        loss = [self.fit.losses.loss] if fields.is_trained(self.fit.model.family) else []
+        guide = [] if self.prior is None else [*loss, Path(self.prior).name]
         return "-".join([self.fit.model.family, self.views, *guide])
 
     @property
@@ -157,7 +158,7 @@ class Run:
             lpips: None leaves that figure out.
             info: what the report says was run; default: what a study wrote of this run, else its name and config.
         """
-        model = checkpoint.open_model(self.folder, pick_device(device))
+        model = self._model(device)
         truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
         subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
         label = f"held-out views of {names_of([self])[0]}"
@@ -166,8 +167,7 @@ class Run:
 
     def open_model(self, device: str = "auto") -> Model:
         """Load the trained field; it renders poses of the drive's own frame."""
-        model = checkpoint.open_model(self.folder, pick_device(device))
-        return PlacedModel(model, checkpoint.origin_of(self.folder) or origin.NONE)
+        return PlacedModel(self._model(device), checkpoint.origin_of(self.folder) or origin.NONE)
 
     def viewpoints(self, frames: str | None = None) -> Viewpoints:
         """Return where the drive's camera was, in a range of frames a:b; None: the run's."""
@@ -180,6 +180,13 @@ class Run:
             for id_, pose in zip(views.ids, views.T_world_cam, strict=True):
                 save_view(folder, id_, model.render(pose, views.camera))
                 step()
+
+    def _model(self, device: str) -> Model:
+        """Load the trained field in the scene's frame; one that shows the run's own frames is given them."""
+        model = checkpoint.open_model(self.folder, pick_device(device))
+        if isinstance(model, ShowsScene):
+            model.show(self.scene)
+        return model
 
     def _info(self) -> dict[str, Any]:
         """Return what a study wrote of the run, so that it still finds it done; else the run's name and config."""

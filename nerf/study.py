@@ -18,13 +18,14 @@ from typing import Any, cast
 from eval.lpips import Lpips
 from eval.protocol import ScoreError
 from nerf.config import FitConfig
+from nerf.fields import is_trained
 from nerf.fit import OnStep
 from nerf.losses import DepthLoss
 from nerf.prepare import ProgressBar, SceneConfig, silent
 from nerf.report import Report
 from nerf.run import RunConfig, claim
 from priors import cache
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.filters import Filters
 from priors.records import upgrade
 from priors.types import Drive
@@ -46,7 +47,7 @@ class RunSpec:
     prior: str
     """A prior's folder, or none."""
     loss: str | None = None
-    """Depth loss; None without a prior, as are all that follow."""
+    """Depth loss; None without a prior, as are all that follow, and in a field that is not trained."""
     clip: float | None = None
     """Farthest depth of the prior that is used, metres."""
     confidence: float | None = None
@@ -118,11 +119,18 @@ class Study:
             raise DataError(f"study: two priors are named {min(twice)}: a study is of one drive")
 
     def runs(self) -> list[RunSpec]:
-        """List the runs, each once, in the order of the table."""
+        """List the runs, each once, in the order of the table.
+
+        Raises:
+            UsageError: there is none: a field that is not trained needs a prior.
+        """
         choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
         grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
         specs = (RunSpec(*choice) for choice in grid)
-        return list(dict.fromkeys(_without_prior(spec) if spec.prior == NONE else spec for spec in specs))
+        runs = list(dict.fromkeys(made for spec in specs if (made := _reduced(spec)) is not None))
+        if not runs:
+            raise UsageError(f"--field {self.fields[0]}: shows frames by a prior's depth: name one by --priors cache/")
+        return runs
 
 
 @dataclass(frozen=True)
@@ -215,8 +223,11 @@ def run_study(
     return outcomes
 
 
-def _without_prior(spec: RunSpec) -> RunSpec:
-    return RunSpec(spec.field, spec.views, NONE, seed=spec.seed)
+def _reduced(spec: RunSpec) -> RunSpec | None:
+    """Return a run without the choices that change nothing in it; None where it cannot be made."""
+    if not is_trained(spec.field):
+        return None if spec.prior == NONE else replace(spec, loss=None, seed=0)
+    return RunSpec(spec.field, spec.views, NONE, seed=spec.seed) if spec.prior == NONE else spec
 
 
 def _done(folder: Path, config: dict[str, Any]) -> Report | None:

@@ -19,6 +19,7 @@ from eval.files import write_bytes
 from eval.protocol import ScoreError
 from eval.result import refuse_to_mix
 from eval.typeset import Column, Table
+from nerf.baseline import unbeaten
 from nerf.report import Report
 from nerf.study import NONE, SHARES, Outcome, RunSpec
 from priors import cache
@@ -181,7 +182,7 @@ def _write(spec: RunSpec, key: str) -> str:
     if key == "truth_mask":
         return "with truth" if value else "all"
     if key == "loss":
-        return str(value)
+        return value or "-"
     if value is None:
         return "all"
     return f"{value:g} m" if key == "clip" else f"{value:g}"
@@ -205,4 +206,6 @@ def _notes(outcomes: Sequence[Outcome], groups: Mapping[RunSpec, Sequence[Report
     found += dict.fromkeys(remark for report in reports for remark in report.remarks)
     if len({tuple(frame.frame for frame in report.frames) for report in reports}) > 1:
         found.append("the rows were not scored on the same held-out views")
+    made = [(outcome.spec.name, outcome.report) for outcome in outcomes if outcome.report is not None]
+    found += unbeaten([name for name, _ in made], [report for _, report in made])
     return found + [f"{o.spec.name} failed: {o.error}" for o in outcomes if o.report is None]

@@ -57,13 +57,24 @@ def select(ids: Sequence[str], frames: str | None) -> list[int]:
     if frames is None:
         return list(range(len(ids)))
     low, high = parse_range(frames)
-    numeric = all(id_.isdecimal() and int(id_) < LARGEST_FRAME_NUMBER for id_ in ids)
-    numbers = [int(id_) for id_ in ids] if numeric else list(range(len(ids)))
+    numbers = _numbers(ids)
     indices = [index for index, number in enumerate(numbers) if low <= number < high]
     if not indices:
         there = f"the drive has {numbers[0]}:{numbers[-1] + 1}" if numbers else "the drive has none"
         raise DataError(f"--frames {frames}: no frames there; {there}")
     return indices
+
+
+def range_of(ids: Sequence[str], first: int, end: int) -> str:
+    """Return the range a:b (see Selection.frames) of the frames from position `first` to the one before `end`."""
+    numbers = _numbers(ids)
+    return f"{numbers[first]}:{numbers[end - 1] + 1}"
+
+
+def _numbers(ids: Sequence[str]) -> list[int]:
+    """Return the frame numbers that ranges count; positions where the ids are none."""
+    numeric = all(id_.isdecimal() and int(id_) < LARGEST_FRAME_NUMBER for id_ in ids)
+    return [int(id_) for id_ in ids] if numeric else list(range(len(ids)))
 
 
 def parse_shard(text: str | None, flag: str = "--shard") -> tuple[int, int]:

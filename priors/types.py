@@ -72,7 +72,8 @@ class Sweep:
     xyz_m: npt.NDArray[np.float32]
     """(n, 3) metres."""
     T_world_lidar: Matrix | None
-    """(4, 4) pose at the sweep's reference time; None where the drive has no poses."""
+    """(4, 4) pose at the sweep's reference time; None where the drive has no poses, or where they break
+    between the frame that asks and the sweep (priors/motion.py)."""
     time_s: npt.NDArray[np.float32] | None = None
     """(n,) seconds from the reference time to each point's own; None: motion is already compensated."""
     velocity: Matrix | None = None

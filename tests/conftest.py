@@ -8,9 +8,18 @@ from typing import Any
 
 import browser as browsers
 import pytest
-from factories import write_argoverse_stereo, write_argoverse_tracking, write_folder, write_odometry, write_raw
+from factories import (
+    write_argoverse_stereo,
+    write_argoverse_tracking,
+    write_as_folder,
+    write_folder,
+    write_odometry,
+    write_raw,
+)
 
+from priors.drives import open_drive
 from priors.machine import cpu
+from priors.street.write import write_street
 
 cpu.hold_down()  # before anything is compiled, as the commands do
 
@@ -69,6 +78,20 @@ def browser() -> Iterator[browsers.Browser]:
     """This machine's Chromium (browser.py); skips where there is none."""
     with browsers.started() as running:
         yield running
+
+
+@pytest.fixture(scope="session")
+def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Six small frames of the embedded street, written once: not to be changed."""
+    out = tmp_path_factory.mktemp("street")
+    write_street(out, 6, 7, (64, 208), workers=2)
+    return out
+
+
+@pytest.fixture
+def street_folder(street: Path, tmp_path: Path) -> Path:
+    """The same street as a folder of images with truth, sparse maps and poses: the test's own."""
+    return write_as_folder(open_drive(street), tmp_path / "own")
 
 
 FullDisk = Callable[[int], AbstractContextManager[None]]

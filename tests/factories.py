@@ -13,6 +13,7 @@ import numpy as np
 
 from priors import codecs
 from priors.geometry import invert, transform
+from priors.types import Drive
 
 SIZE = (96, 240)
 FX, CX, CY, BASELINE_M = 200.0, 119.5, 47.5, 0.5
@@ -135,6 +136,32 @@ def write_folder(root: Path, ids: Sequence[str] = ("a", "b", "c"), right: bool =
         codecs.write_depth_png(root / "depth" / f"{id_}.png", depth_m(scene()[2]))
     write_poses(root / "poses.txt", len(ids))
     return root
+
+
+def write_as_folder(drive: Drive, root: Path) -> Path:
+    """Write a drive as the user's own images: left/, right/, depth/, sparse/, poses.txt and calib.json."""
+    frames = [drive[index] for index in range(len(drive))]
+    for frame in frames:
+        codecs.write_image(root / "left" / f"{frame.id}.png", frame.image())
+        codecs.write_image(root / "right" / f"{frame.id}.png", frame.other())
+        codecs.write_depth_png(root / "depth" / f"{frame.id}.png", frame.truth().depth_m)
+        codecs.write_depth_png(root / "sparse" / f"{frame.id}.png", frame.sparse().depth_m)
+    K = frames[0].camera.K
+    calib = {"fx": K[0, 0], "fy": K[1, 1], "cx": K[0, 2], "cy": K[1, 2], "baseline_m": frames[0].baseline_m}
+    (root / "calib.json").write_text(json.dumps(calib))
+    write_pose_lines(root / "poses.txt", [frame.T_world_cam for frame in frames if frame.T_world_cam is not None])
+    return root
+
+
+def write_pose_lines(path: Path, poses: Iterable[np.ndarray]) -> None:
+    """Write poses (4, 4), a line each."""
+    path.write_text("".join(" ".join(f"{value:.9f}" for value in T[:3].ravel()) + "\n" for T in poses))
+
+
+def read_pose_rows(path: Path) -> list[np.ndarray]:
+    """Read such a file."""
+    rows = np.loadtxt(path, ndmin=2).reshape(-1, 3, 4)
+    return [np.vstack([row, [0, 0, 0, 1]]) for row in rows]
 
 
 # Argoverse 1: the focal lengths, centres and places below are those of the API's own test log.

@@ -21,6 +21,7 @@ ROOMS = [
     "priors/codecs",
     "priors/machine",
     "priors/kernels",
+    "priors/motion",
     "priors/geometry",
     "priors/sky",
     "priors/draw",

@@ -195,7 +195,7 @@ def test_poses_that_jump_are_refused(home: Path, tmp_path: Path, capsys: pytest.
         latitude, rest = path.read_text().split(" ", 1)
         path.write_text(f"{float(latitude) + 0.01} {rest}")
     told = refused(capsys, "fit", tmp_path / "street", "--steps", 2, "--run", tmp_path / "runs" / "a")
-    assert "jumps" in told and "0000000006" in told
+    assert "jumps" in told and "0000000006" in told and "--frames 0:6" in told
     assert not list(tmp_path.rglob("images.npy"))
 
 

@@ -173,7 +173,13 @@ def test_a_killed_preparation_is_begun_again(tmp_path: Path) -> None:
         (Corridor(first=100), "corridor", ["000003"], 5.0, "none of the 20 frames has a map"),
         (Corridor(), "corridor", ["000003"], 0.0, "no value in any of the 18 training frames"),
         (Corridor(), "corridor", ["000009"], 5.0, "no value in any of the 18 training frames"),
-        (Corridor(jump_m=100), "corridor", ["000003"], 5.0, "jumps 101 m before frame 000005"),
+        (
+            Corridor(jump_m=100),
+            "corridor",
+            ["000003"],
+            5.0,
+            "jumps 101.0 m from frame 000004 to 000005.* --frames 5:20, its longest part",
+        ),
     ],
 )
 def test_priors_and_poses_that_do_not_fit_are_refused(

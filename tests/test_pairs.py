@@ -121,11 +121,11 @@ def test_what_is_measured_is_mirrored(seed: int) -> None:
     other = in_the_mirror(frame)
     measured = [measure_rectification(f, lambda left, right: match(left, right, 40)) for f in (frame, other)]
     assert measured[0] == measured[1].mirrored() != RectificationError()
-    swept = [compare_sweep(f) for f in (frame, other)]
+    swept = [compare_sweep(f, f.sweep(), match_quickly(f)) for f in (frame, other)]
     assert swept[0] is not None and swept[1] is not None and len(swept[0]) > 1000
     np.testing.assert_allclose(swept[1], swept[0], rtol=1e-5)
     assert find_range(frame, read_pair(frame)) == find_range(other, read_pair(other))
-    corners = [match_corners(f) for f in (frame, other)]
+    corners = [match_corners(f.image(), f.other(), f.side) for f in (frame, other)]
     assert corners[0] is not None and corners[1] is not None
     np.testing.assert_allclose(np.median(corners[0], axis=0), np.median(corners[1], axis=0), atol=0.2)
 
@@ -146,7 +146,7 @@ def test_a_pair_can_be_seen_from_either_side(seed: int, mirrored: bool, colour: 
     np.testing.assert_array_equal(pair.swapped().restore(pair.swapped().left), as_read)
 
 
-@pytest.mark.parametrize("use", [stereo, lambda f: Filters(left_right=1)(Depth(rough_depth(0)), f), compare_sweep])
+@pytest.mark.parametrize("use", [stereo, lambda f: Filters(left_right=1)(Depth(rough_depth(0)), f), match_quickly])
 def test_a_pair_that_is_none_is_one_line(use: Callable[[Frame], Any]) -> None:
     frame = left_frame(0)
     narrow = replace(frame, readers={**frame.readers, "other": lambda: frame.image()[:, 1:]})

@@ -94,6 +94,8 @@ def run(arguments: list[str]) -> int:
 
 
 def _fit(args: FitArguments, typed: list[str]) -> int:
+    if args.prior is None and not fields.is_trained(args.field):
+        raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
     drive, prior = open_sources(args, args.prior, typed)
     this_run = begin(drive, prior, args.scene(), args.config(), args.run, progress)
     with this_run.held():
@@ -106,7 +108,7 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     _tell(scene, this_run.config, before)
     with fit_progress("training") as on_step:
         this_run.fit(args.device, on_step)
-    if before.step == checkpoint.spent(this_run.folder).step:
+    if fields.is_trained(args.field) and before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
     if scene.test:
         print_tables([this_run], [this_run.report(args.device, args.lpips.open())])
@@ -119,20 +121,30 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
 def _tell(scene: Scene, config: RunConfig, before: Spent) -> None:
     """Say what is about to be trained: on what, by what, for how long."""
     height, width = scene.camera.size
-    fit, prior = config.fit, "colours alone"
-    if config.prior is not None:
-        guided = fit.losses.loss != "none"
-        prior = f"guided by {Path(config.prior).name}" + (f", loss {fit.losses.loss}" if guided else ", no depth loss")
     views = f"{len(scene.train)} of {len(scene.ids)} frames train, {len(scene.test)} are held out"
     err.print(f"views: {scene.name}, {width}x{height}: {views}")
     if scene.origin_m != origin.NONE:
         err.print(f"origin: {origin.told(scene.origin_m)} m is taken off, and put back on what is written")
-    budget = f"{fit.steps} steps" if fit.steps is not None else f"{fit.seconds:g} s"
-    left = before.step and fit.progress(before.step, before.elapsed_s) < 1
-    since = f", goes on from step {before.step}, {before.elapsed_s:.0f} s" if left else ""
-    err.print(f"field: {fit.model.family}, {prior}; {budget}{since}")
+    err.print(f"field: {config.fit.model.family}, {_guide(config)}; {_budget(config.fit, before)}")
     if len(scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
+
+
+def _guide(config: RunConfig) -> str:
+    """Say what tells the field of depth."""
+    if config.prior is None:
+        return "colours alone"
+    loss = config.fit.losses.loss
+    return f"guided by {Path(config.prior).name}, {'no depth loss' if loss == 'none' else f'loss {loss}'}"
+
+
+def _budget(fit: FitConfig, before: Spent) -> str:
+    """Say how long it trains, and from where."""
+    if not fields.is_trained(fit.model.family):
+        return "it is not trained"
+    budget = f"{fit.steps} steps" if fit.steps is not None else f"{fit.seconds:g} s"
+    left = before.step and fit.progress(before.step, before.elapsed_s) < 1
+    return budget + (f", goes on from step {before.step}, {before.elapsed_s:.0f} s" if left else "")
 
 
 def seconds(text: str) -> float:

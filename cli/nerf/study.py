@@ -155,7 +155,7 @@ def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
     parts += ["--frames", args.frames] if args.frames else []
     if spec.prior != NONE:
-        parts += ["--prior", spec.prior, "--loss", str(spec.loss)]
+        parts += ["--prior", spec.prior, *(["--loss", spec.loss] if spec.loss else [])]
         record = {name: value for name, value in asdict(spec).items() if name in SHARES}
         parts += [word for name, value in record.items() if value is not None for word in (f"--{name}", f"{value:g}")]
         parts += ["--truth-mask"] if spec.truth_mask else []

@@ -1,12 +1,14 @@
 """`priors check`: audit a drive."""
 
 from collections import Counter
+from contextlib import nullcontext
 
 from rich.text import Text
 
 from cli.arguments import DriveArguments, parse
-from cli.console import DATA_ERROR, out
+from cli.console import DATA_ERROR, busy, err, out, progress
 from priors.check import check
+from priors.check.audit import silent
 
 EXAMPLES = """Audit a drive: calibration, missing scans, frame joins, stereo sign and vertical offset, pose continuity,
 LiDAR-camera agreement. One line a finding; exits 1 where one is fatal.
@@ -22,7 +24,8 @@ STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "fatal": "bold red
 def run(arguments: list[str]) -> int:
     """Audit; returns the exit code."""
     drive = parse(DriveArguments, "priors check", EXAMPLES, arguments).open(["priors", "check", *arguments])
-    findings = check(drive)
+    with nullcontext() if err.moves else busy("auditing"):  # in a pipe, what is done in two seconds is not told
+        findings = check(drive, progress=progress if err.moves else silent)
     for finding in findings:
         out.print(
             Text.assemble((f"{finding.level:<8}", STYLES[finding.level]), f"{finding.subject}: {finding.message}")

@@ -32,3 +32,8 @@ def family(name: str) -> Family:
         raise DataError(f"{module.__file__}: a field family's file needs FAMILY: see docs/architecture.md")
     chosen: Family = module.FAMILY
     return chosen
+
+
+def is_trained(name: str) -> bool:
+    """Tell whether a family's models learn; the others are as good as their frames and prior at once."""
+    return bool(getattr(family(name), "trained", True))

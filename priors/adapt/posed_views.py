@@ -13,6 +13,7 @@ from priors.adapt.views import LabelledView, augment_view, collate
 from priors.adapt.windows import Window, crop, draw_window
 from priors.codecs import as_rgb
 from priors.errors import DataError
+from priors.motion import Trajectory
 from priors.types import Camera, Drive, FloatMap, Image, Matrix
 
 NEAREST_M, WANTED_M, FARTHEST_M = 0.3, 1.0, 3.0
@@ -47,21 +48,40 @@ class PosedView:
 def pair_up(drive: Drive, indices: Sequence[int], most: int) -> dict[int, tuple[int, int]]:
     """Return the neighbours, before and after, of at most `most` frames, all among the given ones.
 
+    A frame and its neighbours lie on one side of a break of the path.
+
     Raises DataError where frames have no poses, or lie too close or too far apart.
     """
-    all_poses = {index: drive[index].T_world_cam for index in indices}
-    poses = {index: T_world_cam for index, T_world_cam in all_poses.items() if T_world_cam is not None}
+    frames = {index: drive[index] for index in indices}
+    poses = {index: frame.T_world_cam for index, frame in frames.items() if frame.T_world_cam is not None}
+    path = Trajectory.of_frames(list(frames.values()))
+    parts = _parts(path, {index: frames[index].id for index in poses})
     instead = "choose --mono.adapt lidar or stereo"
     if not poses:
         where = "KITTI's oxts, poses/<sequence>.txt, a folder's poses.txt"
         raise DataError(f"{drive.name}: no training frame has a pose: --mono.adapt video needs {where}; or {instead}")
-    pairs = {index: near for index in poses if (near := neighbours(poses, index)) is not None}
+    pairs = {
+        index: near
+        for part in parts
+        for index in part
+        if (near := neighbours({other: poses[other] for other in part}, index)) is not None
+    }
     if not pairs:
         raise DataError(
             f"{drive.name}: no two training frames lie {NEAREST_M} to {FARTHEST_M} m apart, which --mono.adapt video "
             f"needs (poses are in metres): {instead}"
         )
     return {index: pairs[index] for index in pick_evenly(list(pairs), most)}
+
+
+def _parts(path: Trajectory, ids: Mapping[int, str]) -> list[list[int]]:
+    """Cut positions in the drive, with their frames' ids, where the path breaks."""
+    parts: list[list[int]] = []
+    for index in ids:
+        if not parts or path.broken(ids[parts[-1][-1]], ids[index]):
+            parts.append([])
+        parts[-1].append(index)
+    return parts
 
 
 def neighbours(poses: Mapping[int, Matrix], target: int) -> tuple[int, int] | None:

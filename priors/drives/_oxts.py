@@ -24,6 +24,7 @@ from priors.drives._files import read_times, stems
 from priors.errors import DataError
 from priors.frame_ids import by_number
 from priors.geometry import invert
+from priors.motion import Trajectory
 from priors.text import read_lines
 from priors.types import Matrix
 
@@ -98,19 +99,19 @@ class Track:
 
     @cached_property
     def _path_m(self) -> dict[str, Floats]:
-        """Positions (3,) by dead reckoning, Mercator metres; nothing where the records lack velocities or stamps."""
-        if not self._by_velocity:
-            return {}
-        records, times_s = {}, []
-        for id_ in self.files:
-            number = int(id_) if id_.isdecimal() else -1
-            try:
-                records[id_] = self.record(id_)
-            except DataError:
-                continue  # it spoils its own frame only
-            times_s.append(self._stamps.get(number, np.nan))
-        path_m = _sail(list(records.values()), np.array(times_s))
-        return {} if path_m is None else dict(zip(records, path_m, strict=True))
+        """Positions (3,) by dead reckoning, Mercator metres; none where records lack velocities or stamps.
+
+        Each part of a path that breaks is reckoned by itself.
+        """
+        found: dict[str, Floats] = {}
+        for first, end in self.path.parts if self._by_velocity else []:  # a jump is not spread over a part
+            numbers = [int(name) for name in self.path.names[first:end]]
+            ids = [self.id_of(number) for number in numbers]
+            times_s = np.array([self._stamps.get(number, np.nan) for number in numbers])
+            path_m = _sail([self.record(id_) for id_ in ids], times_s)
+            if path_m is not None:
+                found |= zip(ids, path_m, strict=True)
+        return found
 
     def _at_frame(self, id_: str) -> Matrix:
         """Return the pose between the frame's record and the next, or the one before."""
@@ -120,12 +121,25 @@ class Track:
             beside = self.id_of(number + step)
             if late == 0 or beside not in self.files or number + step not in self._stamps:
                 continue
+            if self.path.broken(str(number), str(number + step)):
+                continue
             try:
                 T_beside = self.pose(beside)
             except DataError:
                 continue  # it spoils its own frame only
             return between(T, T_beside, late / (self._stamps[number + step] - self._stamps[number]))
         return T
+
+    @cached_property
+    def path(self) -> Trajectory:
+        """The trajectory of the recorded positions, by frame number; damaged records are left out."""
+        poses = {}
+        for number, id_ in self._by_number.items():
+            try:
+                poses[number] = self.record(id_).T_mercator_imu
+            except DataError:
+                continue  # it spoils its own frame only
+        return Trajectory.of_numbers(poses, self._stamps)
 
     @cached_property
     def _stamps(self) -> dict[int, float]:

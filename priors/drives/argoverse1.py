@@ -20,7 +20,7 @@ Quirks kept here (those of the calibration in _argoverse1_calibration.py):
 
 from bisect import bisect_left
 from collections.abc import Iterable, Sequence
-from functools import partial
+from functools import cached_property, partial
 from glob import escape
 from pathlib import Path
 
@@ -44,6 +44,7 @@ from priors.drives._links import homes
 from priors.drives._ply import read_ply
 from priors.errors import DataError
 from priors.geometry import convert_disparity, invert
+from priors.motion import Trajectory
 from priors.text import read_json
 from priors.types import Depth, Image, Matrix, Sweep
 
@@ -213,7 +214,21 @@ class Argoverse1(CameraDrive):
         if not 0 <= index < len(self._sweep_times):
             return None
         sweep = self._sweep_times[index]
-        return Sweep(read_ply(self._sweeps[sweep]), self._T_world_ego(sweep))
+        placed = Sweep(read_ply(self._sweeps[sweep]), self._T_world_ego(sweep))
+        return self._path.without_far_side(placed, str(first), str(sweep))
+
+    @cached_property
+    def _path(self) -> Trajectory:
+        """The vehicle's trajectory at the sweeps, by their nanoseconds; damaged poses are left out."""
+        poses = {}
+        for time in self._sweep_times:
+            try:
+                T_world_ego = self._T_world_ego(time)
+            except DataError:
+                continue  # it spoils its own frame only
+            if T_world_ego is not None:
+                poses[time] = T_world_ego
+        return Trajectory.of_numbers(poses, {time: time * 1e-9 for time in poses})
 
     def _find_disparities(self) -> dict[int, Path]:
         if self.camera_name != PAIR_RECT[0]:

@@ -36,6 +36,7 @@ from priors.drives._velodyne import read_sweep_file
 from priors.errors import DataError
 from priors.frame_ids import by_number, joined
 from priors.geometry import invert
+from priors.motion import Trajectory
 from priors.poses import by_id, parse_pose, read_pose_lines
 from priors.text import Line, read_lines
 from priors.types import Camera, Matrix, Sweep
@@ -128,7 +129,7 @@ class KittiOdometry(CameraDrive):
         """Return what can be read of a frame: also sweeps."""
         readers = super().readers(id_)
         if self._sweeps and self._T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset)
+            readers["sweep"] = lambda offset=0: self._sweep_beside(int(id_), offset)
         return readers
 
     def T_world_cam(self, id_: str) -> Matrix | None:
@@ -239,6 +240,23 @@ class KittiOdometry(CameraDrive):
             return {n: float(line.text) for n, line in enumerate(read_lines(path)) if line.text}
         except ValueError as error:
             raise DataError(f"{path}: expected one number a line ({error}): download it again") from error
+
+    @cached_property
+    def _path(self) -> Trajectory:
+        """The trajectory of camera 0, by frame number; lines that are no poses are left out."""
+        poses = {}
+        for number in self._pose_lines:
+            try:
+                T_world_cam0 = self._T_world_cam0(str(number))
+            except DataError:
+                continue  # it spoils its own frame only
+            if T_world_cam0 is not None:
+                poses[number] = T_world_cam0
+        return Trajectory.of_numbers(poses, self._times)
+
+    def _sweep_beside(self, number: int, offset: int) -> Sweep | None:
+        """Read the sweep `offset` frames from a frame."""
+        return self._path.without_far_side(self._read_sweep(number + offset), str(number), str(number + offset))
 
     def _read_sweep(self, number: int) -> Sweep | None:
         id_ = self._by_number.get(number, "")

@@ -144,7 +144,7 @@ class KittiRaw(CameraDrive):
         """Return what can be read of a frame: also sweeps, and the street's sky masks."""
         readers = super().readers(id_)
         if self._sweeps and self.calibration.T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._read_sweep(int(id_) + offset)
+            readers["sweep"] = lambda offset=0: self._sweep_beside(int(id_), offset)
         if id_ in self._skies:
             readers["sky"] = lambda: read_sized(self._skies[id_], self.camera) > 127
         return readers
@@ -236,6 +236,10 @@ class KittiRaw(CameraDrive):
         T_velo_imu, T_world_imu = self.calibration.T_velo_imu, self._track.T_world_imu(id_)
         return None if T_velo_imu is None or T_world_imu is None else T_world_imu @ invert(T_velo_imu)
 
+    def _sweep_beside(self, number: int, offset: int) -> Sweep | None:
+        """Read the sweep `offset` frames from a frame."""
+        return self._track.path.without_far_side(self._read_sweep(number + offset), str(number), str(number + offset))
+
     def _load_sweep(self, number: int) -> Sweep | None:
         id_ = self._by_number.get(number, "")
         if id_ not in self._sweeps:
@@ -251,15 +255,25 @@ class KittiRaw(CameraDrive):
         return Sweep(xyz_m, self._T_world_velo(id_), time_s, velocity)
 
     def _velocity(self, number: int) -> Matrix | None:
-        """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame."""
-        around = [(k, self._pose_or_none(number + k)) for k in (-1, 0, 1)]
-        poses = [(k, pose) for k, pose in around if pose is not None]
+        """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame.
+
+        Where the path breaks on both sides of the frame, it is that of the nearest step that does not break.
+        """
+        poses = self._unbroken(number, (-1, 0, 1))
+        if len(poses) < 2 and self._track.path.broken(str(number - 1), str(number)):
+            poses = self._unbroken(number - 1, (0, -1)) or self._unbroken(number + 1, (0, 1))
         if len(poses) < 2:
             return None
         (first, T_world_a), (last, T_world_b) = poses[0], poses[-1]
         seconds = (last - first) * SWEEP_S
         T_a_b = invert(T_world_a) @ T_world_b
         return np.concatenate([T_a_b[:3, 3], Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()]) / seconds
+
+    def _unbroken(self, number: int, offsets: tuple[int, ...]) -> list[tuple[int, Matrix]]:
+        """Return the poses at offsets from a frame, each with its offset, on the frame's own side of a break."""
+        around = [(k, self._pose_or_none(number + k)) for k in offsets]
+        own = self._track.path
+        return [(k, T) for k, T in around if T is not None and not own.broken(str(number), str(number + k))]
 
     def _pose_or_none(self, number: int) -> Matrix | None:
         """A neighbour's pose; a damaged one is as good as none here, and an error at its own frame."""

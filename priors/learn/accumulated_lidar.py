@@ -13,6 +13,7 @@ from priors.geometry import invert, transform
 from priors.learn.lidar_odometry import poses
 from priors.learn.lidar_scene import LidarScene, pixels, splat
 from priors.methods.lidar import Lidar, hidden
+from priors.motion import Trajectory
 from priors.types import FloatMap, Frame, Mask, Matrix, Sweep
 
 SWEEPS, SURE = 9, 0.05
@@ -43,11 +44,14 @@ def _pose(frames: list[Frame]) -> list[Frame]:
     sweeps = [_sweep(frame) for frame in frames]
     T_world_lidars = poses([sweep.xyz_m for sweep in sweeps])
 
+    path = Trajectory.of_numbers(dict(enumerate(T_world_lidars)), {})
+
     def reader(at: int) -> Callable[[int], Sweep | None]:
         def read(offset: int = 0) -> Sweep | None:
             index = at + offset
             inside = 0 <= index < len(sweeps)
-            return replace(sweeps[index], T_world_lidar=T_world_lidars[index]) if inside else None
+            placed = replace(sweeps[index], T_world_lidar=T_world_lidars[index]) if inside else None
+            return path.without_far_side(placed, str(at), str(index))
 
         return read
 

@@ -1,36 +1,38 @@
 """What two sensors of a frame say about each other, measured roughly and fast: the audit's evidence."""
 
+from typing import Literal
+
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors.codecs import as_grey
 from priors.geometry import convert_disparity, project, transform, untwist
 from priors.pairs import matching
-from priors.pairs.read import read_pair
-from priors.types import Frame, Image
+from priors.types import FloatMap, Frame, Image, Sweep
 
 WIDEST_PX = 1600  # wider images are halved: Argoverse's pair is then as fine as KITTI's
 CORNERS, PATCH_PX, SEARCH_ROWS_PX, ALIKE = 150, 15, 12, 0.85
 
 
-def match_corners(frame: Frame) -> npt.NDArray[np.float64] | None:
-    """Find the image's corners in the other image, on either side and a few rows up and down.
+def match_corners(image: Image, other: Image, side: Literal["left", "right"]) -> npt.NDArray[np.float64] | None:
+    """Find the corners of a grey image in the other camera's, on either side and a few rows up and down.
+
+    Args:
+        image: (height, width).
+        other: the other camera's, of the same size.
+        side: which eye of the pair `image` is.
 
     Returns:
-        (n, 2) disparity, negative where it goes the wrong way, and vertical offset, px of the image as read; None where
-        there is no other image.
+        (n, 2) disparity, negative where it goes the wrong way, and vertical offset, px of the image as given; None
+        where it has no corner.
     """
-    if not (frame.has("image") and frame.has("other")):
-        return None
-    image, other = as_grey(frame.image()), as_grey(frame.other())
     scale = 1
     while image.shape[1] > WIDEST_PX:
         image, other, scale = matching.halve(image), matching.halve(other), 2 * scale
     corners = cv2.goodFeaturesToTrack(image, CORNERS, 0.02, PATCH_PX)
     if corners is None:
         return None
-    towards = 1 if frame.side == "left" else -1
+    towards = 1 if side == "left" else -1
     shifts = [shift for x, y in corners.reshape(-1, 2) if (shift := _find_patch(image, other, round(x), round(y)))]
     return np.array(shifts, dtype=np.float64).reshape(-1, 2) * (towards * scale, scale)
 
@@ -58,18 +60,18 @@ def _peak(before: float, middle: float, after: float) -> float:
     return 0.0 if bend >= 0 else 0.5 * (before - after) / bend
 
 
-def compare_sweep(frame: Frame) -> npt.NDArray[np.float64] | None:
-    """Return (n, 2) disparities, px: of LiDAR points, and of stereo at their pixels; None where either is missing."""
-    if not (frame.has("other") and frame.baseline_m) or frame.T_cam_lidar is None:
-        return None
-    sweep = frame.sweep()
-    if sweep is None:
+def compare_sweep(frame: Frame, sweep: Sweep, stereo_px: FloatMap) -> npt.NDArray[np.float64] | None:
+    """Return (n, 2) disparities, px: of LiDAR points, and of stereo (height, width) at their pixels.
+
+    None where the baseline or the LiDAR's place is not known.
+    """
+    if not frame.baseline_m or frame.T_cam_lidar is None:
         return None
     uv_px, depth_m = project(frame.camera, transform(frame.T_cam_lidar, untwist(sweep)))
     height, width = frame.camera.size
     inside = (depth_m > 1) & (uv_px >= 0).all(axis=1) & (uv_px[:, 0] <= width - 1) & (uv_px[:, 1] <= height - 1)
     cell = np.rint(uv_px[inside]).astype(np.int64)
-    stereo_px = read_pair(frame).match(matching.quick_match)[cell[:, 1], cell[:, 0]]
+    seen_px = stereo_px[cell[:, 1], cell[:, 0]]
     lidar_px = convert_disparity(depth_m[inside].astype(np.float32), frame.camera.fx, frame.baseline_m)
-    seen = (stereo_px > 0) & (lidar_px > 0)
-    return np.stack([lidar_px[seen], stereo_px[seen]], axis=1).astype(np.float64)
+    seen = (seen_px > 0) & (lidar_px > 0)
+    return np.stack([lidar_px[seen], seen_px[seen]], axis=1).astype(np.float64)

@@ -1,0 +1,1 @@
+"""The warp: a field without training, the nearest training frames drawn into a view by their prior's depth."""

@@ -1,0 +1,71 @@
+"""Audit a drive: what would spoil depth maps, found in seconds, one line a finding.
+
+Poses, times and joins are looked at in every frame; images, sweeps and maps in a few frames spread over the drive.
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from typing import TypeAlias
+
+from priors.check.calibration import judge_calibration
+from priors.check.files import judge_files
+from priors.check.finding import Finding
+from priors.check.frames import judge_joins, open_frames
+from priors.check.lidar import judge_lidar
+from priors.check.maps import judge_maps
+from priors.check.poses import judge_poses
+from priors.check.sample import Sample
+from priors.check.stereo import judge_stereo
+from priors.check.times import judge_times
+from priors.types import Drive, Frame
+
+SAMPLES = 8
+ProgressBar: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
+"""Opens a progress bar of a label and a number of steps; yields what is called after each."""
+
+
+def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]]:
+    """Show no progress."""
+    return nullcontext(lambda: None)
+
+
+def check(drive: Drive, samples: int = SAMPLES, progress: ProgressBar = silent) -> list[Finding]:
+    """Audit a drive; findings come in a fixed order, the worst level decides the exit code.
+
+    Args:
+        drive: any opened drive.
+        samples: how many frames, spread over the drive, have their images, sweeps and maps read.
+        progress: shows how far it is.
+    """
+    findings = list(judge_joins(drive))
+    with progress("opening frames", len(drive)) as step:
+        frames, broken = open_frames(drive, step)
+    findings += broken
+    if not frames:
+        return findings
+    sampled = look(frames, samples, progress)
+    findings += judge_calibration(frames[0])
+    findings += judge_files(sampled)
+    pairs = list(judge_stereo(sampled))
+    findings += pairs
+    for sample in sampled:
+        sample.trusts_stereo = all(finding.level != "fatal" for finding in pairs)
+    findings += judge_poses(frames, sampled)
+    findings += judge_times(frames)
+    findings += judge_lidar(sampled)
+    findings += judge_maps(sampled)
+    return findings
+
+
+def look(frames: list[Frame], samples: int, progress: ProgressBar) -> list[Sample]:
+    """Read `samples` of the frames, spread evenly, and what their neighbours in time show of the same scene."""
+    stride = max(1, -(-len(frames) // samples))
+    places = list(range(stride // 2, len(frames), stride)) or [0]
+    sampled = []
+    with progress("reading sampled frames", len(places)) as step:
+        for place in places:
+            before, after = (frames[n] if 0 <= n < len(frames) else None for n in (place - 1, place + 1))
+            sampled.append(Sample(frames[place], before, after))
+            sampled[-1].look()
+            step()
+    return sampled
