@@ -131,18 +131,21 @@ def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ScoreArguments, "priors eval", EXAMPLES, arguments)
     files = [path for path in args.caches if path.suffix == ".json"]
-    priors = [prior for path in args.caches if path not in files for prior in _with_maps(path)]
+    refused: list[DataError] = []
+    priors = [prior for path in args.caches if path not in files for prior in _with_maps(path, refused)]
     drives = by_drive(priors)
     output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + bool(files) > 1)
     if files:
         output.show(DriveScores([Result.load(path) for path in files]))
     failed = [together for together in drives if not _try_drive(together, output)]
-    return DATA_ERROR if failed else 0
+    for error in refused:
+        err.complain(error, "left out")
+    return DATA_ERROR if failed or refused else 0
 
 
-def _with_maps(path: Path) -> list[Prior]:
-    """Return the priors at path that have maps; those that have none yet are named and left out."""
-    priors = cache.find(path)
+def _with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
+    """Return the priors at path that have maps; those that have none yet are named, those that cannot be read kept."""
+    priors = cache.find(path, refused.append)
     for prior in priors:
         if not prior.ids():
             out.print(f"{prior.folder}: no maps yet: left out")
