@@ -187,7 +187,7 @@ def _seen(prior: Prior, id_: str, sky: Mask) -> float | None:
 
 def _recorded(prior: Prior) -> float:
     """Return the mean density that a build has recorded; 0 where it has not."""
-    densities = [float(line["density"]) for line in prior.lines().values() if "density" in line]
+    densities = prior.figures("density")
     return float(np.mean(densities)) if densities else 0.0
 
 

@@ -317,7 +317,7 @@ def test_a_missing_folder_is_one_line(tmp_path: Path) -> None:
 def test_a_cache_of_another_version_is_refused_and_kept(built: Path, street: Path, tmp_path: Path) -> None:
     shutil.copytree(built / "cache", tmp_path / "cache")
     manifest = next((tmp_path / "cache").glob("*/stereo-*/manifest.json"))
-    manifest.write_text(manifest.read_text().replace('"format": 1', '"format": 99'))
+    manifest.write_text(manifest.read_text().replace('"format": 2', '"format": 99'))
     maps = stamps(manifest.parent)
     assert "format 99" in fail("eval", "cache", cwd=tmp_path)
     next(manifest.parent.glob("depth/*.png")).unlink()

@@ -146,15 +146,18 @@ def run(arguments: list[str]) -> int:
     args = parse(ScoreArguments, "priors eval", EXAMPLES, arguments)
     args.expect_writable()
     loaded = _load([path for path in args.caches if path.suffix == ".json"])
-    drives = by_drive([prior for path in args.caches if path.suffix != ".json" for prior in _with_maps(path)])
+    refused: list[DataError] = []
+    drives = by_drive([prior for path in args.caches if path.suffix != ".json" for prior in _with_maps(path, refused)])
     output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + len(loaded) > 1)
     for results in loaded:
         output.show(results)
     scored = [_try_drive(together, output) for together in drives]
+    for error in refused:
+        err.complain(error, "left out")
     shown = [*loaded, *(one for one in scored if one is not None)]
     if shown:
         output.save(shown)
-    return DATA_ERROR if any(one is None or one.left_out for one in scored) else 0
+    return DATA_ERROR if refused or any(one is None or one.left_out for one in scored) else 0
 
 
 def _load(files: Sequence[Path]) -> list[DriveScores]:
@@ -166,9 +169,9 @@ def _load(files: Sequence[Path]) -> list[DriveScores]:
     return list(drives.values())
 
 
-def _with_maps(path: Path) -> list[Prior]:
-    """Return the priors at path that have maps; those that have none yet are named and left out."""
-    priors = cache.find(path)
+def _with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
+    """Return the priors at path that have maps; those that have none yet are named, those that cannot be read kept."""
+    priors = cache.find(path, refused.append)
     for prior in priors:
         if not prior.ids():
             out.print(f"{prior.folder}: no maps yet: left out")
