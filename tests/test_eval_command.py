@@ -37,8 +37,8 @@ def make(folder: Path, method: str, factor: float) -> Prior:
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """The current folder, with cache/: two priors of one drive and one of another."""
     monkeypatch.chdir(tmp_path)
-    for name, methods in (("one", ("lidar", "stereo")), ("two", ("mono",))):
-        write_folder(tmp_path / name, IDS)
+    for name, ids, methods in (("one", IDS, ("lidar", "stereo")), ("two", IDS[:2], ("mono",))):
+        write_folder(tmp_path / name, ids)
         for method in methods:
             make(tmp_path / name, method, {"lidar": 1.1, "stereo": 1.2, "mono": 1.3}[method])
     return tmp_path
