@@ -105,6 +105,9 @@ class BenchArguments(ThreadArguments, DriveArguments):
         return list(dict.fromkeys(Entrant.of(spec, self.fit(), own) for spec in specs for own in each))
 
 
+ARGUMENTS = {"nerf bench": BenchArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Make the bench; returns the exit code: 1 where a fit failed."""
     args = parse(BenchArguments, "nerf bench", EXAMPLES, arguments)
