@@ -13,6 +13,7 @@ from safetensors.torch import load_file
 
 from cli.nerf import PROGRAM
 from nerf.pictures import KEPT, picture_path
+from nerf.report import Report
 from nerf.run import open_run
 from priors import build, codecs
 from priors.drives import open_drive
@@ -81,6 +82,37 @@ def test_eval_writes_a_report_page(home: Path, tmp_path: Path) -> None:
     assert page.count("data:image/jpeg;base64,") == 2, "one view is held out: its image, and what was rendered"
     assert "nerf eval" in page and str(prior_of(home).resolve()) in page
     assert "<dt>budget</dt>\n<dd>3 steps</dd>" in page
+
+
+def test_a_report_tells_the_whole_story(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["report", home / "runs", "--cache", home / "cache", "--most", 2, "--out", tmp_path / "new" / "a.html"]
+    assert nerf(*asked) == 0
+    first = (tmp_path / "new" / "a.html").read_bytes()
+    assert f"wrote {tmp_path / 'new' / 'a.html'}, {len(first) / 1e6:.1f} MB" in capsys.readouterr().out
+    page = first.decode()
+    titles = re.findall("<h[23]>(.*?)</h[23]>", page)
+    assert [title.split(" of ")[0] for title in titles if " of street" in title] == ["Depth priors", "Radiance fields"]
+    assert {"Frames", "Held-out views", "What made this page"} <= set(titles)
+    assert page.count("data:image/jpeg;base64,") == 2 + 2, "two frames; the view that is held out, and its rendering"
+    metres = next(row for row in Report.load(home / "runs" / "prior" / "metrics.json").frames).figures()["rmse"]
+    assert f"RMSE {metres:.2f} m" in page
+
+
+def test_a_report_that_cannot_be_written_is_told_before_any_work(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for flags, says in (
+        (["--out", "page.pdf"], "--out page.pdf: expected a name that ends in .html"),
+        (["--most", 0], "--most 0: expected 1 or more"),
+        (["--megabytes", "nan"], "--megabytes nan: expected more than 0, 500 at most"),
+        (["--picture-width", 1], "--picture-width 1: expected 64 to 4096 pixels"),
+    ):
+        assert refused(capsys, "report", home / "runs", *flags) == f"error: {says}"
+    assert "no runs in it" in refused(capsys, "report", tmp_path)
+    assert (
+        nerf("report", home / "runs", "--cache", home / "cache", "--megabytes", 0.01, "--out", tmp_path / "a.html") == 0
+    )
+    assert "pictured frames are left out: they do not fit into --megabytes 0.01" in capsys.readouterr().out
 
 
 def test_new_poses_are_rendered(home: Path, tmp_path: Path) -> None:
