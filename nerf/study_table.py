@@ -33,13 +33,14 @@ from priors.report.page import Chapter, Page, Section
 COLUMNS = {
     "psnr": Column("PSNR", "dB", higher=True, digits=2),
     "ssim_uniform7": Column("SSIM-uniform7", higher=True),
-    "ssim_gauss11": Column("SSIM-gauss11", higher=True),
     "lpips": Column("LPIPS"),
     "lpips_squeeze": Column("LPIPS-squeeze"),
     "lpips_vgg": Column("LPIPS-vgg"),
     "rmse": Column("RMSE", "m"),
     "abs_rel": Column("AbsRel", digits=4),
+    "ssim_gauss11": Column("SSIM-gauss11", higher=True),
 }
+"""In a narrow terminal the last ones are left out first."""
 LEAD = ("field", "views", "prior")
 """What every table names first; rows of one field and one choice of views are ranked together."""
 _CHOICES = ("loss", *SHARES, "truth_mask")
