@@ -42,9 +42,9 @@ def split(count: int, views: str) -> tuple[list[int], list[int]]:
     if not rest:
         raise DataError("no frames to train on: choose more with --frames")
     if views == HELD_OUT:
-        if not held_out:
+        if not test:
             raise DataError(f"--views {HELD_OUT}: none of {count} frames is held out: take {EVERY_HELD_OUT} or more")
-        return held_out, held_out
+        return test, test
     if views == "dense":
         return rest, test
     if views == "sparse":

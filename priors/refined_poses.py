@@ -136,7 +136,7 @@ def find(place: Path, drive: str, fingerprint: str) -> RefinedPoses:
             raise DataError(f"{place}: poses of {other}, not of this {drive}: run `priors poses` on it")
         return poses
     home = place / drive
-    folders = sorted(path.parent for path in home.glob(f"{PREFIX}*/{RECORD}"))
+    folders = sorted(path.parent for path in home.glob(PREFIX + "*/" + RECORD))
     fitting = [poses for poses in map(load, folders) if poses.fingerprint == fingerprint]
     if not fitting:
         raise DataError(f"{home}: no refined poses of this drive: make them by `priors poses`")

@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, make_dataclass
+from glob import escape
 from pathlib import Path
 from typing import Any, Literal
 
@@ -97,6 +98,7 @@ def _tell_of_other_poses(job: Job) -> None:
     if job.prior.ids():
         return
     own = poses_of(job.drive.describe())
+<<<<<<< HEAD
     for folder in sorted(job.prior.folder.parent.glob("*-*")):
         with suppress(DataError):  # what is no prior's folder has none
             prior = load(folder)
@@ -104,6 +106,16 @@ def _tell_of_other_poses(job: Job) -> None:
             if prior.method == job.method.name and made_with != own:
                 told = f"made with {made_with} poses, these are {own}"
                 err.print(f"{folder}: {told}: --poses {made_with} goes on with it")
+=======
+    siblings = sorted(job.prior.folder.parent.glob(f"{escape(job.method.name)}-*"))
+    for folder in siblings:
+        with suppress(DataError):
+            made_with = poses_of(load(folder).drive)
+            if made_with != own:
+                err.print(
+                    f"{folder}: made with {made_with} poses, these are {own}: --poses {made_with} goes on with it"
+                )
+>>>>>>> main
 
 
 def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> str:

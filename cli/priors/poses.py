@@ -44,9 +44,12 @@ class PosesArguments(ThreadArguments, DriveArguments):
             raise UsageError("--poses refined: these are made here: expected auto, recorded or dead-reckoned")
 
 
+ARGUMENTS = {"priors poses": PosesArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Refine; returns the exit code."""
-    args = parse(PosesArguments, "priors poses", EXAMPLES, arguments)
+    args = parse(ARGUMENTS["priors poses"], "priors poses", EXAMPLES, arguments)
     with args.limited():
         return _refine(args, ["priors", "poses", *arguments])
 
