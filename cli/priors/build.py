@@ -98,24 +98,13 @@ def _tell_of_other_poses(job: Job) -> None:
     if job.prior.ids():
         return
     own = poses_of(job.drive.describe())
-<<<<<<< HEAD
-    for folder in sorted(job.prior.folder.parent.glob("*-*")):
-        with suppress(DataError):  # what is no prior's folder has none
-            prior = load(folder)
-            made_with = poses_of(prior.drive)
-            if prior.method == job.method.name and made_with != own:
-                told = f"made with {made_with} poses, these are {own}"
-                err.print(f"{folder}: {told}: --poses {made_with} goes on with it")
-=======
     siblings = sorted(job.prior.folder.parent.glob(f"{escape(job.method.name)}-*"))
     for folder in siblings:
         with suppress(DataError):
             made_with = poses_of(load(folder).drive)
             if made_with != own:
-                err.print(
-                    f"{folder}: made with {made_with} poses, these are {own}: --poses {made_with} goes on with it"
-                )
->>>>>>> main
+                told = f"made with {made_with} poses, these are {own}"
+                err.print(f"{folder}: {told}: --poses {made_with} goes on with it")
 
 
 def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> str:
