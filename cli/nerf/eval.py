@@ -11,6 +11,7 @@ import tyro
 from cli.arguments import Device, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, out
 from cli.nerf.arguments import open_moved
+from cli.written import expect_file, expect_folder
 from eval import lpips, typeset
 from eval.files import write_bytes
 from nerf.comparison import views_wipe
@@ -21,7 +22,7 @@ from nerf.run import Run, find_all, names_of
 from nerf.story import story_page
 from nerf.truths import Truths
 from priors import codecs
-from priors.errors import DataError, UsageError
+from priors.errors import DataError
 from priors.report.page import SUFFIX
 from priors.report.sample import Sample
 from priors.types import Image
@@ -68,12 +69,16 @@ class ReportArguments(ThreadArguments):
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
 
 
+ARGUMENTS = {"nerf eval": ReportArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ReportArguments, "nerf eval", EXAMPLES, arguments)
-    bad = [path for path in args.save if path.suffix not in (*WRITERS, SUFFIX)]
-    if bad:
-        raise UsageError(f"--save {bad[0]}: expected a name that ends in {', '.join((*WRITERS, SUFFIX))}")
+    for path in args.save:
+        expect_file("--save", path, (*WRITERS, SUFFIX))
+    if args.pictures is not None:
+        expect_folder("--pictures", args.pictures)
     with args.limited():
         return _score(args, shlex.join(["nerf", "eval", *arguments]))
 

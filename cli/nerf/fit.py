@@ -86,6 +86,9 @@ class FitArguments(ThreadArguments, DriveArguments):
         return FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
 
 
+ARGUMENTS = {"nerf fit": FitArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Fit; returns the exit code."""
     args = parse(FitArguments, "nerf fit", EXAMPLES, arguments)

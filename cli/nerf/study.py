@@ -107,6 +107,9 @@ class StudyArguments(ThreadArguments, DriveArguments):
         )
 
 
+ARGUMENTS = {"nerf study": StudyArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Make the study; returns the exit code: 1 where a run failed."""
     args = parse(StudyArguments, "nerf study", EXAMPLES, arguments)

@@ -66,7 +66,7 @@ class BuildArguments(ThreadArguments, DriveArguments):
 
 def run(arguments: list[str]) -> int:
     """Build; returns the exit code."""
-    args = parse(_with_methods(), "priors build", EXAMPLES, arguments)
+    args = parse(ARGUMENTS["priors build"], "priors build", EXAMPLES, arguments)
     with args.limited():
         return _build(args, arguments)
 
@@ -112,7 +112,7 @@ def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: 
     if args.method is None:
         has = " and ".join(filter(None, (", ".join(advice.has[:-1]), *advice.has[-1:]))) or "images alone"
         command = shlex.join(["priors", "build", *typed, "--method", advice.method])
-        raise UsageError(f"--method is missing: {drive.name} has {has}; {advice.method} suits it: {command}")
+        raise UsageError(f"--method is missing: {drive.name} has {has}; --method auto takes {advice.method}: {command}")
     err.print(f"method: {advice.method}: {advice.reason}")
     for flag in _idle_flags(advice.method, typed):
         err.print(f"{flag}: not used by {advice.method}")
@@ -121,14 +121,22 @@ def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: 
 
 def _idle_flags(method: str, typed: list[str]) -> list[str]:
     """Return the flags that were typed of other methods than this."""
-    others = tuple(f"--{name}." for name in methods.names() if name != method)
-    return [word.partition("=")[0] for word in typed if word.startswith(others)]
+    flags = dict.fromkeys(word.partition("=")[0] for word in typed if word.startswith("--"))
+    return [flag for flag in flags if _method_of(flag) not in (None, method)]
+
+
+def _method_of(flag: str) -> str | None:
+    """Return the method whose flag this is, as --stereo.model is stereo's; None for those of the command."""
+    name, dot, _ = flag.removeprefix("--").replace("-", "_").partition(".")
+    return name if dot and name in methods.names() else None
 
 
 def _refuse_idle_flags(method: str, typed: list[str]) -> None:
     """Raise UsageError where a flag of another method was typed: it would do nothing."""
     if idle := _idle_flags(method, typed):
-        raise UsageError(f"{idle[0]}: a flag of another method than --method {method}: leave it out")
+        others = " or ".join(dict.fromkeys(str(_method_of(flag)) for flag in idle))
+        what = "a flag" if len(idle) == 1 else "flags"
+        raise UsageError(f"{', '.join(idle)}: {what} of --method {others}, not of {method}: leave out one or the other")
 
 
 def _note(line: str) -> None:
@@ -194,3 +202,6 @@ def _complain_if_nothing(report: BuildReport) -> None:
     lacking = [reason for reason in report.plan.skipped.values() if reason != "cached" and "stood still" not in reason]
     if lacking and not report.built and not report.failed and len(lacking) == len(report.plan.skipped):
         raise DataError(f"no frame can be computed: {lacking[0]}")
+
+
+ARGUMENTS = {"priors build": _with_methods()}

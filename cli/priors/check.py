@@ -26,6 +26,9 @@ examples:
 STYLES = {"ok": "green", "note": "cyan", "warning": "yellow", "fatal": "bold red"}
 
 
+ARGUMENTS = {"priors check": DriveArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Audit; returns the exit code."""
     args = parse(DriveArguments, "priors check", EXAMPLES, arguments)

@@ -32,6 +32,9 @@ class ListArguments:
     """The cache, or a folder in it."""
 
 
+ARGUMENTS = {"priors list": ListArguments}
+
+
 def run(arguments: list[str]) -> int:
     """List; returns the exit code: 1 where a frame is half written."""
     args = parse(ListArguments, "priors list", EXAMPLES, arguments)

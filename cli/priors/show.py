@@ -8,6 +8,7 @@ import tyro
 
 from cli.arguments import by_drive, find_priors, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
+from cli.written import expect_folder
 from priors import codecs
 from priors.cache import Prior
 from priors.draw.comparison import compare
@@ -48,9 +49,13 @@ class ShowArguments:
         expect_between(16, self.width, 16384, "--width")
 
 
+ARGUMENTS = {"priors show": ShowArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Write the pictures; returns the exit code."""
     args = parse(ShowArguments, "priors show", EXAMPLES, arguments)
+    expect_folder("--out", args.out)
     priors = [prior for path in args.caches for prior in find_priors(path)]
     whole = [_show_drive(together, args) for together in by_drive(priors)]
     return 0 if all(whole) else DATA_ERROR

@@ -75,6 +75,9 @@ class ViewArguments(AddressArguments):
         return several[0]
 
 
+ARGUMENTS = {"priors view": ViewArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Serve the view until Ctrl-C; returns the exit code."""
     args = parse(ViewArguments, "priors view", EXAMPLES, arguments)
