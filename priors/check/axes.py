@@ -18,7 +18,7 @@ from priors.geometry import invert
 from priors.motion import Trajectory
 from priors.types import Matrix
 
-FEWEST, FEWEST_FINE = 2, 4
+FEWEST, FEWEST_FINE = 2, 6
 """Pairs of frames that must show the motion, and that tell two conventions apart by turns alone."""
 ASIDE_DEG, TURNED_DEG = 25.0, 2.0
 """How far off direction and turn of a motion may be, medians."""
@@ -33,7 +33,7 @@ SCATTER = 0.4
 STILL_M = 0.02
 STANDS = 0.01
 """Poses that move less than this share of what is seen stand still."""
-FINER, FINER_DEG, MOST = 0.6, 0.05, 0.75
+FINER, FINER_DEG, MOST = 0.5, 0.1, 0.75
 """Where direction and turn fit, another convention is told if its turns are off by so much less: share, degrees, and in
 which share of the motions. Where a world's z points backwards, inverted poses of a car differ by so little."""
 
