@@ -75,19 +75,9 @@ def _others(advice: PriorAdvice) -> str:
 def _listed(drives: Sequence[Sequence[Prior]], typed: Sequence[str]) -> str:
     """Number the drives, each as the command that takes its priors."""
     lines = []
-<<<<<<< HEAD
-    places = [priors[0].folder.parent for priors in drives]
-    for number, priors in enumerate(drives, 1):
-        place = places[number - 1]
-        one = priors[0].folder if places.count(place) > 1 else place  # one drive with poses of several kinds
-        words = list(typed)
-        at = words.index("--prior") + 1 if "--prior" in words else len(words)
-        words[at : at + 1] = [str(one)]
-=======
     for number, folder in enumerate(folders_to_name(drives), 1):
         words = list(typed)
         at = words.index("--prior") + 1 if "--prior" in words else len(words)
         words[at : at + 1] = [str(folder)]
->>>>>>> main
         lines.append(f"\n  {number}. {shlex.join(words)}")
     return "".join(lines)
