@@ -50,17 +50,17 @@ class Work:
 
     def do(self, indices: Sequence[int], workers: int, on_note: Callable[[str], None]) -> None:
         """Compute frames; returns when each is done or has failed, here or elsewhere."""
-        told = False
+        rounds = 0
         while indices:
             _run_each(self._do_one, indices, workers)
-            waiting, self._in_other_hands = self._in_other_hands, []
-            if waiting and not told:
-                owner = claim.owner_of(self.claims / self.drive.ids[waiting[0]]) or "another build"
-                on_note(f"waiting for {_frames(len(waiting))} that {owner} has in hand")
-                told = True
-            if waiting:
-                time.sleep(POLL_S)
-            indices = waiting
+            indices, self._in_other_hands = self._in_other_hands, []
+            rounds += 1
+            if not indices or rounds == 1:  # most of those that were in hand are done by now
+                continue
+            if rounds == 2:
+                owner = claim.owner_of(self.claims / self.drive.ids[indices[0]]) or "another build"
+                on_note(f"waiting for {_frames(len(indices))} that {owner} has in hand")
+            time.sleep(POLL_S)
         tidy(self.claims)
 
     def _do_one(self, index: int) -> None:
