@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
-from cli.console import USAGE_ERROR, err, guarded, out
+from cli.console import USAGE_ERROR, busy, err, guarded, out
 from cli.mistakes import nearest
 from cli.owners import program_with
 from cli.stand_ins import say_plainly
@@ -47,7 +48,12 @@ class Program:
         if not {"-h", "--help"}.intersection(rest) and (wrong := _wrong_mode()):
             err.complain(wrong)
             return USAGE_ERROR
-        return guarded(lambda: import_module(f"cli.{self.name}.{name}").run(rest))
+        return guarded(lambda: self._load(name).run(rest))
+
+    def _load(self, name: str) -> Any:
+        """Import a command's file: the first one that needs PyTorch takes a while."""
+        with busy(f"loading {self.name} {name}"):
+            return import_module(f"cli.{self.name}.{name}")
 
     def _unknown(self, name: str) -> str:
         """Say which command may be meant by a word that is none."""

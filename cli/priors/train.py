@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from cli.arguments import Device, parse
-from cli.console import err, out, progress, train_progress
+from cli.console import busy, err, out, progress, train_progress
 from cli.mistakes import nearest
 from priors.errors import UsageError, expect_between
 from priors.learn.config import TrainConfig
@@ -168,11 +168,13 @@ def started_from(args: RunArguments) -> str | None:
     return about_run(args.out).get("start") if args.start is None else args.start.name
 
 
-def train_network(args: RunArguments, task: "Task", net: str) -> None:
+def train_network(args: Any, make_task: Callable[[Any], "Task"], net: str) -> None:
     """Train and tell how to use the result."""
     from priors.learn.loop import train
     from priors.nets import weights
 
+    with busy("reading the training data"):
+        task = make_task(args)
     if args.start is not None:
         err.print(f"{weights.take(task.net, args.start)} tensors taken from {args.start}")
     about = {"net": net, "size": args.size, "start": started_from(args)}
@@ -196,15 +198,17 @@ def calibrate(args: CalibrateArguments) -> None:
     from priors.learn.confidence_calibration import calibrate_file
     from priors.learn.stereo_data import Folders
 
-    for line in calibrate_file(args.file, Folders(args.street, args.real, args.cache)):
+    with busy("calibrating"):
+        lines = calibrate_file(args.file, Folders(args.street, args.real, args.cache))
+    for line in lines:
         out.print(line)
 
 
 KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
     "samples": (SamplesArguments, render_samples),
-    "stereo": (StereoArguments, lambda args: train_network(args, stereo_task(args), args.net)),
-    "completion": (RunArguments, lambda args: train_network(args, completion_task(args), "mffnet")),
-    "mono": (RunArguments, lambda args: train_network(args, mono_task(args), "bts")),
+    "stereo": (StereoArguments, lambda args: train_network(args, stereo_task, args.net)),
+    "completion": (RunArguments, lambda args: train_network(args, completion_task, "mffnet")),
+    "mono": (RunArguments, lambda args: train_network(args, mono_task, "bts")),
     "pack": (PackArguments, pack),
     "calibrate": (CalibrateArguments, calibrate),
 }
