@@ -100,11 +100,14 @@ def reopen_drive(priors: Sequence[Prior], truth: Path | None = None, data: Path 
     """Open the drive that priors were made for.
 
     Args:
-        priors: of one drive; the first one's manifest says where it was.
+        priors: of one drive; their manifests say where it was.
         truth: names its depth maps where the build was not told.
         data: where the drive is now; its files must be the same. The priors' manifests are brought up to date.
     """
-    described = priors[0].drive if truth is None else {**priors[0].drive, "truth": str(truth)}
+    there = (prior.drive for prior in priors if Path(prior.drive.get("path", "")).is_dir())
+    described = next(there, priors[0].drive)  # some may have been made before it moved
+    if truth is not None:
+        described = {**described, "truth": str(truth)}
     drive = drives.reopen(described, data)
     for prior in priors:
         if drive.fingerprint() != prior.manifest.get("fingerprint", drive.fingerprint()):

@@ -258,10 +258,15 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
-        for name in (checkpoint.NAME, journal.NAME, "metrics.json"):
-            (folder / name).unlink(missing_ok=True)
+        forget(folder)
     _write(folder, config)
     return Run(folder, config)
+
+
+def forget(folder: Path) -> None:
+    """Delete what a run has learned: it begins anew."""
+    for name in (checkpoint.NAME, journal.NAME, "metrics.json"):
+        (folder / name).unlink(missing_ok=True)
 
 
 def names_of(runs: Sequence[Run]) -> list[str]:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import threading
 from collections.abc import Callable
@@ -14,6 +15,7 @@ import pytest
 from factories import write_argoverse_tracking, write_folder, write_odometry, write_raw
 from test_build import Line, Plane
 
+from cli.priors import PROGRAM
 from priors import build, cache
 from priors.cache.audit import audit
 from priors.cache.sources import Digests, watch, why_stale
@@ -95,7 +97,10 @@ def test_copied_moved_and_touched_files_of_equal_content_are_not_stale(drive: Fi
     shutil.copytree(drive.folder, tmp_path / "copy", copy_function=shutil.copyfile)
     assert not job(Files(tmp_path / "copy"), tmp_path).plan().todo
     os.utime(drive.path(drive.ids[0]), (0, 0))
-    assert not job(drive, tmp_path).plan().todo
+    plan = job(drive, tmp_path).plan()
+    assert not plan.todo and list(plan.restamped) == [drive.ids[0]]
+    assert not job(drive, tmp_path).run().built
+    assert not job(drive, tmp_path).plan().restamped, "the new time is known: nothing is read again"
 
 
 def test_a_map_whose_files_are_gone_is_kept_where_no_other_can_be_made(drive: Files, tmp_path: Path) -> None:
@@ -224,6 +229,33 @@ def test_a_damaged_manifest_is_written_again_and_whole_maps_are_kept(drive: File
     (prior.folder / "manifest.json").write_text("{")
     assert not built(drive, tmp_path)
     assert (prior.folder / "manifest.json").read_text() == manifest
+
+
+def test_the_priors_beside_one_follow_a_drive_that_has_moved(tmp_path: Path) -> None:
+    folder = write_folder(tmp_path / "before" / "mine", right=False)
+    priors = [job(open_drive(folder), tmp_path, Reader(sweeps)).run().prior for sweeps in (0, 1)]
+    folder.parent.rename(tmp_path / "after")
+    moved = open_drive(tmp_path / "after" / "mine")
+    assert not job(moved, tmp_path, Reader(0)).run().built
+    assert {cache.load(prior.folder).drive["path"] for prior in priors} == {str(tmp_path / "after" / "mine")}
+
+
+def test_a_cache_is_checked_by_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = write_folder(tmp_path / "mine", right=False)
+    prior = job(open_drive(folder), tmp_path).run().prior
+    check = ["check", str(tmp_path / "cache")]
+    assert PROGRAM.run(check) == 0
+    assert "3 verified, 0 not verified, 0 stale, 0 damaged, 0 orphaned" in capsys.readouterr().out
+    (prior.folder / "depth" / "notes.txt").write_text("x")
+    shutil.copy(folder / "left" / "a.png", folder / "left" / "c.png")
+    prior.depth_path("b").write_bytes(prior.depth_path("b").read_bytes()[:-1])
+    assert PROGRAM.run(check) == 1
+    told = capsys.readouterr().out
+    assert "1 stale, 1 damaged, 1 orphaned" in told
+    for line in ("stale .*c: image: c.png has changed", "damaged .*b: depth/b.png", "orphan .*depth/notes.txt"):
+        assert re.search(line, told)
+    assert built(open_drive(folder), tmp_path) == ["b", "c"]
+    assert PROGRAM.run(check) == 0
 
 
 def test_a_later_formats_prior_is_neither_read_nor_touched(drive: Files, tmp_path: Path) -> None:

@@ -138,6 +138,8 @@ def _guide(config: RunConfig) -> str:
     """Say what tells the field of depth."""
     if config.prior is None:
         return "colours alone"
+    if not fields.is_trained(config.fit.model.family):
+        return f"drawn by the depth of {Path(config.prior).name}"
     loss = config.fit.losses.loss
     return f"guided by {Path(config.prior).name}, {'no depth loss' if loss == 'none' else f'loss {loss}'}"
 
@@ -151,11 +153,11 @@ def _budget(fit: FitConfig, before: Spent) -> str:
     return budget + (f", goes on from step {before.step}, {before.elapsed_s:.0f} s" if left else "")
 
 
-def seconds(text: str) -> float:
-    """Turn 90s, 5m or 1h into seconds."""
+def seconds(text: str, flag: str = "--time") -> float:
+    """Turn 90s, 5m or 1h into seconds; `flag` is named where it cannot be done."""
     try:
         value = float(text[:-1]) * UNITS_S[text[-1]] if text[-1:] in UNITS_S else float(text)
     except ValueError as error:
-        raise UsageError(f"--time {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
-    expect(0 < value <= MOST_S, "--time", text, "more than 0, and less than a year")
+        raise UsageError(f"{flag} {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
+    expect(0 < value <= MOST_S, flag, text, "more than 0, and less than a year")
     return value

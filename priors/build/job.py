@@ -1,6 +1,7 @@
 """A job: a prior that can be built. `plan` says what a build will do, `run` does it."""
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -9,6 +10,7 @@ from priors import cache
 from priors.build.plan import Judge, Plan, make_plan
 from priors.build.work import Work
 from priors.cache import Prior
+from priors.cache.places import follow
 from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
@@ -77,9 +79,11 @@ class Job:
         """
         expect(workers >= 1, "--workers", workers, "1 or more")
         plan = self.plan() if plan is None else plan
+        self._restamp(plan)
         if not plan.todo:
             if self.prior.ids() and self._manifest_is_old():
                 cache.create(self.prior.folder, self.prior.manifest)
+                follow(self.prior)
             return BuildReport(self.prior, plan, failed=dict(plan.failed))
         for note in self.method.notes():
             on_note(note)
@@ -93,8 +97,16 @@ class Job:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
         make_depth = self.method.prepare(self.drive, self.prior.folder.parent / "weights", on_note)
         cache.create(self.prior.folder, self.prior.manifest)
+        follow(self.prior)
         self.prior.drop_stale()
         return Work(self.drive, self.prior, self.judge, lambda frame: self.filters(make_depth(frame), frame), on_frame)
+
+    def _restamp(self, plan: Plan) -> None:
+        """Note the times of files that were copied, so that the next plan need not read them."""
+        lines = self.prior.lines()
+        with suppress(OSError):  # a cache that cannot be written: they are read each time
+            for frame_id, sources in plan.restamped.items():
+                self.prior.journal.append({**lines[frame_id], "made_of": sources})
 
     def _manifest_is_old(self) -> bool:
         """Tell whether the manifest must be written though no map is made: the drive has moved, or it is damaged."""

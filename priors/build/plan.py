@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from priors.cache import Prior
-from priors.cache.sources import Digests, why_stale
+from priors.cache.sources import Digests, Sources, restamped, why_stale
 from priors.errors import DataError
 from priors.selection import MotionGate, Selection, select, shard
 from priors.types import Drive, Frame, Input
@@ -26,12 +26,16 @@ class Plan:
     """Frame id -> which file is not what its map was made of; they are in `todo`."""
     damaged: dict[str, str] = field(default_factory=dict)
     """Frame id -> what is wrong with its map; they are in `todo`."""
+    restamped: dict[str, Sources] = field(default_factory=dict)
+    """Id of a cached frame -> what its map was made of: the same files at other times, as copies have."""
 
     def add(self, index: int, frame: Frame, judge: "Judge") -> None:
         """Put a frame where it belongs."""
         verdict = judge(frame)
         if verdict.skip is not None:
             self.skipped[frame.id] = verdict.skip
+            if verdict.restamped is not None:
+                self.restamped[frame.id] = verdict.restamped
             return
         self.todo.append(index)
         if verdict.stale is not None:
@@ -50,6 +54,8 @@ class Verdict:
     """Which file is not what its map was made of."""
     damaged: str | None = None
     """What is wrong with its map."""
+    restamped: Sources | None = None
+    """What its map was made of, where only the files' times are others."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +77,7 @@ class Judge:
             record = self.prior.journal.entry(frame.id).record or {}
             stale = why_stale(record.get("made_of"), frame, self.digests)
             if stale is None:
-                return Verdict(skip=CACHED)
+                return Verdict(skip=CACHED, restamped=restamped(record.get("made_of"), frame))
         lacking = [what for what in self.reads if not frame.has(what)]
         if lacking and damaged is None:
             return Verdict(skip=CACHED)  # what it was made of is gone, and nothing better can be made

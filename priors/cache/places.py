@@ -5,7 +5,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from priors.cache.manifest import NAME
-from priors.cache.prior import Prior, load
+from priors.cache.prior import Prior, create, load
 from priors.errors import DataError
 
 BUILD = "`priors build DATA --method stereo`"
@@ -53,6 +53,20 @@ def only(path: Path) -> Prior:
 def holds_priors(path: Path) -> bool:
     """Tell whether a folder holds priors: it, its folders or theirs have a manifest."""
     return any(next(path.glob(pattern), None) for pattern in (NAME, f"*/{NAME}", f"*/*/{NAME}"))
+
+
+def follow(prior: Prior) -> None:
+    """Let the priors beside one tell the same place of the drive, where theirs is gone and it is the same drive."""
+    own = prior.manifest
+    for folder in sorted(prior.folder.parent.glob(f"*/{NAME}")):
+        with suppress(DataError, OSError):  # one that cannot be read or written stays
+            other = load(folder.parent)
+            same = other.manifest.get("fingerprint") == own["fingerprint"]
+            same &= other.drive.get("camera") == prior.drive.get("camera")
+            if same and not Path(other.drive.get("path", "")).is_dir():
+                truth = other.drive.get("truth")
+                kept = {"truth": truth} if truth is not None and Path(truth).is_dir() else {}
+                create(other.folder, {**other.manifest, "drive": {**prior.drive, **kept}})
 
 
 def _folders(path: Path) -> Iterator[Path]:

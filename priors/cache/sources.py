@@ -109,16 +109,31 @@ def why_stale(sources: Any, frame: Frame, digests: Digests) -> str | None:
         frame: the frame of today.
         digests: reads files whose size or time has changed.
     """
-    if not isinstance(sources, dict):
-        return None
-    for call, before in sources.items():
-        what, *words = call.split(" ")
-        if what not in frame.files:
-            continue
-        path = frame.files[what](*map(_number, words))
+    for call, before, path in _today(sources, frame):
         if reason := _difference(before, path, digests):
             return f"{call}: {reason}"
     return None
+
+
+def restamped(sources: Any, frame: Frame) -> Sources | None:
+    """Return the sources of a map that is not stale with the size and time of today's files; None where all are so.
+
+    Files that were copied have another time. Once it is known, they need not be read again.
+    """
+    changed = {}
+    for call, before, path in _today(sources, frame):
+        stamp = None if path is None else stamp_of(path)
+        if stamp is not None and isinstance(before, dict) and before.get("modified_ns") != stamp[1]:
+            changed[call] = {**before, "modified_ns": stamp[1]}
+    return {**sources, **changed} if changed else None
+
+
+def _today(sources: Any, frame: Frame) -> Iterator[tuple[str, Any, Path | None]]:
+    """Give each call of a record, what it says of the file, and today's file; calls that the frame cannot tell not."""
+    for call, before in sources.items() if isinstance(sources, dict) else []:
+        what, *words = call.split(" ")
+        if what in frame.files:
+            yield call, before, frame.files[what](*map(_number, words))
 
 
 def stamp_of(path: Path) -> Stamp | None:
