@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
@@ -51,8 +52,8 @@ class Program:
         return guarded(lambda: self._load(name).run(rest))
 
     def _load(self, name: str) -> Any:
-        """Import a command's file: the first one that needs PyTorch takes a while."""
-        with busy(f"loading {self.name} {name}"):
+        """Import a command's file: where PyTorch is read from a cold disk that takes a while. A pipe is not told."""
+        with busy(f"loading {self.name} {name}") if err.moves else nullcontext():
             return import_module(f"cli.{self.name}.{name}")
 
     def _unknown(self, name: str) -> str:

@@ -45,7 +45,7 @@ def test_the_nearest_flag_is_told() -> None:
         (
             "priors build",
             ["--steps", "3"],
-            "has no flag --steps: a flag of nerf fit, nerf video, nerf study and 1 more",
+            "has no flag --steps: a flag of nerf fit, nerf video, nerf study and ",
         ),
         (
             "priors check",

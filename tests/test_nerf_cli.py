@@ -65,7 +65,8 @@ def prior_of(home: Path) -> Path:
 def test_a_fit_leaves_a_scored_run(home: Path) -> None:
     run = home / "runs" / "prior"
     names = {path.name for path in run.iterdir()}
-    assert names == {"config.json", "checkpoint.safetensors", "metrics.json", "metrics.jsonl", "depth.json", "renders"}
+    figures = {"metrics.json", "metrics.jsonl", "depth.json", "renders"}
+    assert names == {"config.json", "cameras.json", "checkpoint.safetensors", *figures}
     assert all(picture_path(run / "renders", kind, HELD_OUT).exists() for kind in KEPT)
 
 

@@ -16,7 +16,7 @@ from priors.selection import parse_range
 class RunArguments(ThreadArguments):
     """Which run, and which of its drive's frames."""
 
-    run: Annotated[Path, tyro.conf.Positional]
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """The run's folder."""
     frames: str | None = None
     """Range of frames, a:b; default: the run's."""

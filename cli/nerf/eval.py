@@ -56,7 +56,7 @@ class LpipsArguments:
 class ReportArguments(ThreadArguments):
     """Arguments of `nerf eval`."""
 
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("runs"),)
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (Path("runs"),)
     """Runs' folders, or folders that hold runs; default: all of runs/."""
     data: Path | None = None
     """Where the runs' drive is now, if it has moved."""

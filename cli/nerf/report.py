@@ -34,7 +34,7 @@ examples:
 class StoryArguments(ThreadArguments):
     """Arguments of `nerf report`."""
 
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("runs"),)
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (Path("runs"),)
     """Runs' folders, or folders that hold runs; default: all of runs/."""
     cache: tuple[Path, ...] = ()
     """Also show the priors of these caches, or drives' or priors' folders."""

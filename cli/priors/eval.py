@@ -50,7 +50,7 @@ STUDY_SHARE = 0.9228
 class ScoreArguments:
     """Arguments of `priors eval`."""
 
-    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE ...]")] = (Path("cache"),)
     """Caches, drives' or priors' folders, or metrics.json files of earlier runs."""
     protocol: Literal[*PRESETS] = "paper"  # type: ignore[valid-type]
     """Which pixels count and how; docs/metrics.md has the definitions."""

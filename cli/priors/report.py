@@ -34,7 +34,7 @@ examples:
 class ReportArguments:
     """Arguments of `priors report`."""
 
-    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE ...]")] = (Path("cache"),)
     """Caches, or drives' or priors' folders."""
     out: Path = Path("report.html")
     """The page."""

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill) and goes on with the same command.
 
+examples:
   priors train samples samples/ --count 4800            synthetic pairs with exact truth; --part 1/2 for two machines
   priors train stereo runs/cfnet-s --street samples/ --net cfnet --size s --minutes 90
   priors train stereo runs/cfnet-s --street samples/ --real DATA --minutes 240
@@ -36,7 +37,7 @@ EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill
 class SamplesArguments:
     """Arguments of `priors train samples`."""
 
-    out: Annotated[Path, tyro.conf.Positional]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """Folder to write samples into; what is there is kept."""
     count: int = 4800
     """Samples the folder is to hold, 1.3 MB each."""
@@ -52,7 +53,7 @@ class SamplesArguments:
 class RunArguments:
     """What training any network takes."""
 
-    out: Annotated[Path, tyro.conf.Positional]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """The run's folder: checkpoint, log.jsonl, pictures/. A run that is there goes on."""
     street: Path = Path("samples")
     """Folder of `priors train samples`."""
@@ -89,9 +90,9 @@ class StereoArguments(RunArguments):
 class PackArguments:
     """Arguments of `priors train pack`."""
 
-    run: Annotated[Path, tyro.conf.Positional]
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of a training run."""
-    out: Annotated[Path, tyro.conf.Positional]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """File to write: .safetensors."""
 
 
@@ -99,7 +100,7 @@ class PackArguments:
 class CalibrateArguments:
     """Arguments of `priors train calibrate`."""
 
-    file: Annotated[Path, tyro.conf.Positional]
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """Weights of a stereo network; their header is rewritten."""
     street: Path = Path("samples")
     """Folder of `priors train samples`."""
