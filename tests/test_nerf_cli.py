@@ -292,6 +292,21 @@ def test_what_is_no_run_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[s
         assert "not a run's folder" in refused(capsys, command, tmp_path)
 
 
+def test_without_a_name_the_only_run_is_taken(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert "which run? There is no folder runs/ here" in refused(capsys, "export")
+    shutil.copytree(home / "runs" / "prior", "runs/a")
+    shutil.copytree(home / "runs" / ".scenes", "runs/.scenes")
+    assert nerf("export", "--frames", "0:1") == 0
+    assert "run: runs/a" in capsys.readouterr().err and Path("runs/a/cloud.ply").is_file()
+    shutil.copytree("runs/a", "runs/b")
+    for named in ([], ["runs"]):
+        assert nerf("render", *named, "--frames", "0:1") == 2
+        assert "2 runs: name one:\n  1. nerf render runs/a --frames 0:1\n" in capsys.readouterr().err
+
+
 def test_the_drive_and_the_prior_come_from_the_cache(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
