@@ -32,7 +32,7 @@ from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
 from priors import cache
 from priors.cache import Prior
-from priors.drives import reopen
+from priors.drives import poses_remark, reopen
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.machine import threads
@@ -161,8 +161,9 @@ class Run:
             info: what the report says was run; default: what a study wrote of this run, else its name and config.
         """
         model = self._model(device)
-        truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
-        subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
+        held_out = [self.scene.ids[position] for position in self.scene.test]
+        truths, told = Truths(self.drive, held_out), poses_remark(self.drive, held_out)
+        subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info(), told)
         label = f"held-out views of {names_of([self])[0]}"
         with threads.limited(None), self.progress(label, len(self.scene.test)) as step:
             return report(self.scene, truths, subject, self.folder, Scoring(lpips), step)

@@ -109,9 +109,8 @@ def _tell_of_other_poses(job: Job) -> None:
         with suppress(DataError):
             made_with = poses_of(load(folder).drive)
             if made_with != own:
-                err.print(
-                    f"{folder}: made with {made_with} poses, these are {own}: --poses {made_with} goes on with it"
-                )
+                told = f"made with {made_with} poses, these are {own}"
+                err.print(f"{folder}: {told}: --poses {made_with} goes on with it")
 
 
 def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> str:
