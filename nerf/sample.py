@@ -58,14 +58,13 @@ class SamplerConfig:
     """Least probability with which a training sample goes through the backward pass: those that carry little of the
     gradient go rarely, and then count for more; 1: all go."""
 
-    roulette_rays: float = 0.25
-    """Least probability with which a drawn ray is trained on: those of image parts that are learned already go
-    rarely, and then count for more; 1: all go."""
+    roulette_rays: float = 1.0
+    """Least probability with which a drawn ray is trained on, for example 0.25: those of image parts that are learned
+    already go rarely, and then count for more; 1: all go."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {
         "terminate": 0.0,
         "roulette_samples": 1.0,
-        "roulette_rays": 1.0,
         "carve_sky": False,
     }
 
