@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
-from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
 
@@ -63,32 +62,61 @@ class ThreadArguments:
         return threads.limited(threads.usual() if self.threads is None else self.threads)
 
 
+def find_priors(path: Path) -> list[Prior]:
+    """Return the priors at path; those that cannot be read are named and left out, where there are others."""
+    return cache.find(path, lambda error: err.complain(error, "left out"))
+
+
 def by_drive(priors: Sequence[Prior]) -> list[list[Prior]]:
-    """Put together the priors that were made for one drive."""
-    return [list(together) for _, together in groupby(sorted(priors, key=_drive_key), key=_drive_key)]
+    """Put together the priors that were made for one drive, in the order of its name and place.
+
+    It is one drive where calibration, poses and first image are the same by their digest, wherever it was when the
+    maps were made. Another drive of the same name, or at the same place, is another one. Maps that another tool made
+    may have no digest: their place tells.
+    """
+    groups: list[list[Prior]] = []
+    for prior in sorted(priors, key=_place):
+        group = next((group for group in groups if all(_is_same(prior, other) for other in group)), None)
+        if group is None:
+            groups.append([prior])
+        else:
+            group.append(prior)
+    return groups
 
 
-def _drive_key(prior: Prior) -> tuple[str, ...]:
+def _place(prior: Prior) -> tuple[str, ...]:
     return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
+
+
+def _is_same(one: Prior, other: Prior) -> bool:
+    prints = one.manifest.get("fingerprint"), other.manifest.get("fingerprint")
+    if None in prints:
+        return _place(one) == _place(other)
+    cameras = one.drive.get("camera"), other.drive.get("camera")
+    return prints[0] == prints[1] and cameras[0] == cameras[1]
 
 
 def reopen_drive(priors: Sequence[Prior], truth: Path | None = None, data: Path | None = None) -> Drive:
     """Open the drive that priors were made for.
 
     Args:
-        priors: of one drive; the first one's manifest says where it was.
+        priors: of one drive; their manifests say where it was.
         truth: names its depth maps where the build was not told.
         data: where the drive is now; its files must be the same. The priors' manifests are brought up to date.
     """
-    described = priors[0].drive if truth is None else {**priors[0].drive, "truth": str(truth)}
+    there = (prior.drive for prior in priors if Path(prior.drive.get("path", "")).is_dir())
+    described = next(there, priors[0].drive)  # some may have been made before it moved
+    if truth is not None:
+        described = {**described, "truth": str(truth)}
     drive = drives.reopen(described, data)
-    if data is None:
-        return drive
     for prior in priors:
         if drive.fingerprint() != prior.manifest.get("fingerprint", drive.fingerprint()):
+            place = described["path"] if data is None else f"--data {data}"
+            other = "build again, or name its own by --data" if data is None else "name the one they were made of"
             raise DataError(
-                f"--data {data}: is not the drive of {prior.folder}: its calibration, poses or images differ"
+                f"{place}: is not the drive of {prior.folder}: calibration, poses or first image differ: {other}"
             )
+    for prior in priors if data is not None else []:
         moved = {**prior.manifest, "drive": {"name": drive.name, **drive.describe()}}
         with suppress(OSError):  # a cache that cannot be written is told of the new place each time
             cache.create(prior.folder, moved)

@@ -88,19 +88,22 @@ def _refuse_foreign_eval() -> None:
 
 @contextmanager
 def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
-    """Show a progress bar on a terminal, a line every tenth in a pipe; yields what to call once a step."""
+    """Show a progress bar on a terminal; in a pipe a line every tenth, of what takes longer than SILENT_S.
+
+    Yields what to call once a step.
+    """
     if err.moves:
         columns = (LABEL, BarColumn(), MofNCompleteColumn())
         with _bar(*columns, TimeElapsedColumn(), TimeRemainingColumn()) as bar:
             task = bar.add_task(label, total=total)
             yield lambda *_: bar.advance(task)
         return
-    done = 0
+    done, began = 0, time.perf_counter()
 
     def step(*_: object) -> None:
         nonlocal done
         done += 1
-        if 10 * done // total > 10 * (done - 1) // total:
+        if 10 * done // total > 10 * (done - 1) // total and time.perf_counter() - began > SILENT_S:
             err.print(f"{label} {done}/{total}")
 
     yield step

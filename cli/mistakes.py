@@ -9,12 +9,15 @@ from typing import TypeVar
 
 import tyro
 
+from cli import owners
 from cli.renamed import flags_of, negated
 from priors.errors import DataError, UsageError
 
 Parsed = TypeVar("Parsed")
 NEAR = 0.6
 """Words as alike as this (difflib's ratio) may be the same word mistyped."""
+VERY_NEAR = 0.8
+"""Words as alike as this are the same word mistyped, even where another command has the mistyped one."""
 
 
 def nearest(word: str, words: Sequence[str]) -> str:
@@ -24,15 +27,26 @@ def nearest(word: str, words: Sequence[str]) -> str:
 
 
 def refuse_unknown(kind: type[object], command: str, arguments: Sequence[str]) -> None:
-    """Raise UsageError at the first flag that a command does not have; it names the nearest that it has."""
+    """Raise UsageError at the first flag that a command does not have; it says which flag, or command, is meant."""
     names = flags_of(kind)
     flags = {f"--{name}" for name in names} | {"--help"}
     known = flags | {f"--{negated(name)}" for name in names}
     for word in arguments:
         flag = word.partition("=")[0].replace("_", "-")
         if word.startswith("--") and len(word) > 2 and flag not in known:
-            hint = nearest(flag, sorted(flags)) or f": see {command} --help"
+            hint = _hint(flag, sorted(flags), command, arguments)
             raise UsageError(f"{command} has no flag {word.partition('=')[0]}{hint}")
+
+
+def _hint(flag: str, flags: Sequence[str], command: str, arguments: Sequence[str]) -> str:
+    """Say what is meant by an unknown flag: one of a group, one mistyped, or one of another command."""
+    inner = [other for other in flags if other.endswith(f".{flag.removeprefix('--')}")]
+    asked = [other for other in inner if other.removeprefix("--").partition(".")[0] in arguments]
+    if inner:
+        return f": did you mean {' or '.join(asked or inner)}?"
+    if get_close_matches(flag, flags, 1, VERY_NEAR):
+        return nearest(flag, flags)
+    return owners.told(owners.commands_with(flag, command)) or nearest(flag, flags) or f": see {command} --help"
 
 
 def _refuse_empty(arguments: Sequence[str]) -> None:

@@ -9,6 +9,7 @@ from importlib.metadata import version
 
 from cli.console import USAGE_ERROR, err, guarded, out
 from cli.mistakes import nearest
+from cli.owners import program_with
 from cli.stand_ins import say_plainly
 from priors.errors import DataError
 from priors.machine import cpu
@@ -41,13 +42,20 @@ class Program:
             return 0
         name, rest = arguments[0], arguments[1:]
         if name not in self.commands:
-            choices = f"choose one of {', '.join(self.commands)}{nearest(name, list(self.commands))}"
-            err.complain(f"no command {name!r}: {choices}")
+            err.complain(self._unknown(name))
             return USAGE_ERROR
         if not {"-h", "--help"}.intersection(rest) and (wrong := _wrong_mode()):
             err.complain(wrong)
             return USAGE_ERROR
         return guarded(lambda: import_module(f"cli.{self.name}.{name}").run(rest))
+
+    def _unknown(self, name: str) -> str:
+        """Say which command may be meant by a word that is none."""
+        if name.startswith("-"):
+            return f"{self.name} {name}: a command comes first: {self.name} COMMAND {name}"
+        elsewhere = program_with(name, self.name)
+        choices = f": choose one of {', '.join(self.commands)}{nearest(name, list(self.commands))}"
+        return f"{self.name} has no command {name!r}{elsewhere or choices}"
 
     def _overview(self) -> str:
         rows = "\n".join(f"  {name:<8}{what}" for name, what in self.commands.items())

@@ -4,7 +4,7 @@ import os
 import time
 import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 STALE_S = 3600.0
@@ -47,5 +47,6 @@ def write_bytes(path: Path, data: bytes) -> None:
 def drop_stale(folder: Path, pattern: str = ".*") -> None:
     """Delete temporary files in and below a folder, matching `pattern`, that are older than STALE_S."""
     for path in folder.rglob(pattern):
-        if path.is_file() and time.time() - path.stat().st_mtime > STALE_S:
-            path.unlink(missing_ok=True)
+        with suppress(FileNotFoundError):  # another process drops them too, or has just finished one
+            if path.is_file() and time.time() - path.stat().st_mtime > STALE_S:
+                path.unlink()

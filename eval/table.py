@@ -148,29 +148,48 @@ def as_csv(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:
     keys = keys or tuple(COLUMNS)
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["prior", "protocol", "pooling", "frames", "pixels", *keys])
+    writer.writerow(["prior", "drive", "protocol", "pooling", "frames", "pixels", *keys])
     for result in results:
+        start = [result.name, result.info.get("drive", ""), result.protocol.name]
         for pooling in ("image", "pixel"):
             figures = result.metrics(pooling)
             values = ["" if math.isnan(value := figures.get(key, math.nan)) else repr(value) for key in keys]
-            writer.writerow([result.name, result.protocol.name, pooling, len(result.rows), result.sums.count, *values])
+            writer.writerow([*start, pooling, len(result.rows), result.sums.count, *values])
     return out.getvalue()
 
 
-WRITERS: dict[str, Callable[[Sequence[Result]], str]] = {
+WRITERS: dict[str, Callable[[Sequence[Result], Sequence[str] | None], str]] = {
     ".md": markdown,
     ".tex": latex,
     ".csv": as_csv,
     ".txt": plain,
 }
+HEADINGS = {".md": "## {}\n\n", ".tex": "% {}\n", ".txt": "{}\n"}
+"""What stands above a table where a file has several; in a .csv the drive is a column."""
 
 
-def save(results: Sequence[Result], path: Path) -> None:
-    """Write the table in the format that the path's suffix names.
+def save(sections: Sequence[tuple[str, Sequence[Result]]], path: Path, keys: Sequence[str] | None = None) -> None:
+    """Write one file with a table of each section's results, in the format that the path's suffix names.
+
+    Args:
+        sections: a heading and results; the heading, a drive's name, is written where there are several sections.
+        path: ends in one of WRITERS; its folder is made.
+        keys: of COLUMNS; None: the protocol's usual ones, in a .csv all.
 
     Raises:
-        ScoreError: the suffix is none of .md, .tex, .csv, .txt.
+        ScoreError: another suffix, an unknown key, or different protocols in a section.
     """
     if path.suffix not in WRITERS:
         raise ScoreError(f"{path}: expected a table ending in {', '.join(WRITERS)}")
-    write_bytes(path, WRITERS[path.suffix](results).encode())
+    write_bytes(path, _joined(sections, path.suffix, keys).encode())
+
+
+def _joined(sections: Sequence[tuple[str, Sequence[Result]]], suffix: str, keys: Sequence[str] | None) -> str:
+    """Write the tables of all sections one below the other."""
+    tables = [WRITERS[suffix](results, keys) for _, results in sections]
+    if suffix == ".csv":
+        return tables[0] + "".join(table.partition("\n")[2] for table in tables[1:])
+    if len(tables) == 1:
+        return tables[0]
+    headings = [HEADINGS[suffix].format(heading) for heading, _ in sections]
+    return "\n".join(heading + table for heading, table in zip(headings, tables, strict=True))

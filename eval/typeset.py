@@ -14,6 +14,10 @@ from rich.table import Table as RichTable
 from rich.text import Text
 
 BEST, SECOND = "bold", "underline"
+ESSENTIAL = 4
+"""Columns that a narrow terminal shows before names are written on one line."""
+NARROWEST = 16
+"""Width of a folded name, characters."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,16 +97,20 @@ def rank(cells: Sequence[str], higher: bool) -> list[str]:
 
 
 def render(table: Table, width: int | None = None) -> RichTable:
-    """Make a rich table; columns that do not fit into width characters are left out, last ones first, and named."""
+    """Make a rich table; columns that do not fit into width characters are left out, last ones first, and named.
+
+    Names give way first: they are folded so that ESSENTIAL columns have room.
+    """
     figures = [max(map(len, column)) for column in zip(*table.cells, strict=True)] or [0] * len(table.columns)
     widths = [max(len(column.label), widest) + 3 for column, widest in zip(table.columns, figures, strict=True)]
-    taken = sum(max(map(len, column)) + 4 for column in zip(table.heads, *table.names, strict=True)) + np.cumsum(widths)
+    leads = _lead_widths(table, None if width is None else width - sum(widths[:ESSENTIAL]))
+    taken = sum(lead + 4 for lead in leads) + np.cumsum(widths)
     fit = len(widths) if width is None else max(1, int(np.count_nonzero(taken <= width)))
     hidden = [f"no room for {', '.join(column.label for column in table.columns[fit:])}"] * (fit < len(widths))
-    caption = "\n".join([*table.remarks, *hidden])
+    caption = Text("\n".join([*table.remarks, *hidden]))  # names in it are no markup
     drawn = RichTable(box=box.SIMPLE_HEAD, caption=caption, caption_justify="left", padding=(0, 1, 0, 1))
-    for head in table.heads:
-        drawn.add_column(head, no_wrap=True)
+    for head, lead in zip(table.heads, leads, strict=True):
+        drawn.add_column(head, overflow="fold", min_width=lead, max_width=lead)
     for column in table.columns[:fit]:
         drawn.add_column(
             f"{column.label}\n{column.unit} {column.arrow}".replace("\n ", "\n"), justify="right", no_wrap=True
@@ -111,8 +119,19 @@ def render(table: Table, width: int | None = None) -> RichTable:
         if i in table.starts:
             drawn.add_section()
         marked = (Text.assemble((cell, mark)) for cell, mark in zip(cells[:fit], marks[:fit], strict=True))
-        drawn.add_row(*name, *marked)
+        drawn.add_row(*map(Text, name), *marked)
     return drawn
+
+
+def _lead_widths(table: Table, room: int | None) -> list[int]:
+    """Return how wide the names' columns are drawn: as wide as the longest, or so that they fit into the room."""
+    longest = [max(map(len, column)) for column in zip(table.heads, *table.names, strict=True)]
+    if room is None or sum(longest) + 4 * len(longest) <= room:
+        return longest
+    widest = longest.index(max(longest))
+    others = sum(longest) - longest[widest] + 4 * len(longest)
+    longest[widest] = min(longest[widest], max(NARROWEST, room - others))
+    return longest
 
 
 def plain(table: Table) -> str:

@@ -4,9 +4,8 @@ from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from nerf.naming import labels
 from nerf.pictures import colour_error_bar, load_view, paint_colour_error
-from nerf.run import Run
+from nerf.run import Run, names_of
 from nerf.truths import Truths
 from priors.draw import panel
 from priors.draw.colours import GOOD_TO_BAD
@@ -24,7 +23,7 @@ Figures = Mapping[tuple[str, str], Mapping[str, float]]
 
 def views_wipe(runs: Sequence[Run], figures: Figures, sample: Sample) -> Wipe | None:
     """Picture held-out views of runs of one drive, from what their reports have rendered; None where there are none."""
-    drive, names = runs[0].drive, labels([run.folder for run in runs])
+    drive, names = runs[0].drive, names_of(runs)
     held_out = {id_ for run in runs for id_ in (run.scene.ids[place] for place in run.scene.test)}
     ids = [id_ for id_ in drive.ids if id_ in held_out]
     size = shown_size(drive[0].camera.size, sample.picture_width)

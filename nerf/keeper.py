@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from nerf.checkpoint import Spent, save
@@ -12,7 +12,7 @@ from nerf.origin import Offset
 from priors.errors import DataError
 
 FIRST_S = 4.0
-"""Training before the first checkpoint: a kill costs no more than that, and the file is there within 5 s."""
+"""From the end of the first step, which may compile kernels, to the first checkpoint: it is there within 5 s."""
 EVERY_S = 30.0
 """From one checkpoint to the next."""
 
@@ -31,12 +31,15 @@ class Keeper:
     kept: Spent
     lost: Callable[[], bool] = lambda: False
     """Whether another process has taken the folder over."""
-    due_s: float = field(default_factory=lambda: time.perf_counter() + FIRST_S)
-    """When the next checkpoint is due, by time.perf_counter."""
+    due_s: float | None = None
+    """When the next checkpoint is due, by time.perf_counter; None before the first step."""
 
     def keep_if_due(self, spent: Spent) -> None:
         """Write a checkpoint where it is time."""
-        if time.perf_counter() >= self.due_s:
+        now_s = time.perf_counter()
+        if self.due_s is None:
+            self.due_s = now_s + FIRST_S
+        elif now_s >= self.due_s:
             self.keep(spent)
 
     def keep(self, spent: Spent) -> None:

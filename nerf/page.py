@@ -14,9 +14,8 @@ from eval.typeset import Column, Table
 from nerf import journal
 from nerf.baseline import unbeaten
 from nerf.config import FitConfig
-from nerf.naming import labels
 from nerf.report import Report
-from nerf.run import Run
+from nerf.run import Run, names_of
 from nerf.study_table import COLUMNS
 from priors.draw.lines import Line, Plot
 from priors.filters import Filters
@@ -56,7 +55,7 @@ class FieldScores:
     @property
     def names(self) -> list[str]:
         """Return the runs' names, each different."""
-        return labels([run.folder for run in self.runs])
+        return names_of(self.runs)
 
     @property
     def drive(self) -> str:

@@ -7,6 +7,7 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import json
+import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -40,6 +41,8 @@ from priors.records import earlier, restore
 from priors.types import Drive
 
 FORMAT = 1
+KEY = re.compile("-[0-9a-f]{10}$")
+"""What tells a prior from others of its method, at the end of its folder's name."""
 CONFIG = "config.json"
 """What every run's folder has."""
 OWNER = ".owner"
@@ -70,6 +73,13 @@ class RunConfig:
         """Describe a run of an open drive and an open prior."""
         where = None if prior is None else str(prior.folder.resolve())
         return cls(drive.describe(), where, scene.frames, scene.views, scene.filters, fit)
+
+    @property
+    def title(self) -> str:
+        """What the run is, as its usual folder's name ends: <field>-<views>, and <loss>-<prior> where it has them."""
+        loss = [self.fit.losses.loss] if fields.is_trained(self.fit.model.family) else []
+        guide = [] if self.prior is None else [*loss, Path(self.prior).name]
+        return "-".join([self.fit.model.family, self.views, *guide])
 
     @property
     def scene(self) -> SceneConfig:
@@ -151,7 +161,8 @@ class Run:
         model = self._model(device)
         truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
         subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
-        with threads.limited(None), self.progress(f"views of {self.name}", len(self.scene.test)) as step:
+        label = f"held-out views of {names_of([self])[0]}"
+        with threads.limited(None), self.progress(label, len(self.scene.test)) as step:
             return report(self.scene, truths, subject, self.folder, Scoring(lpips), step)
 
     def open_model(self, device: str = "auto") -> Model:
@@ -209,12 +220,10 @@ def begin(
     Raises:
         DataError: the folder holds a run with other settings.
     """
-    scene, fit = scene or SceneConfig(), fit or FitConfig()
+    config = RunConfig.of(drive, prior, scene or SceneConfig(), fit or FitConfig())
     if folder is None:
-        loss = [fit.losses.loss] if fields.is_trained(fit.model.family) else []
-        parts = [] if prior is None else [*loss, prior.name]
-        folder = Path("runs") / "-".join([drive.name, fit.model.family, scene.views, *parts])
-    return replace(claim(folder, RunConfig.of(drive, prior, scene, fit)), progress=progress, source=drive)
+        folder = Path("runs") / f"{drive.name}-{config.title}"
+    return replace(claim(folder, config), progress=progress, source=drive)
 
 
 def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
@@ -234,10 +243,26 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     elif _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
-        for name in (checkpoint.NAME, journal.NAME, "metrics.json"):
-            (folder / name).unlink(missing_ok=True)
+        forget(folder)
     _write(folder, config)
     return Run(folder, config)
+
+
+def forget(folder: Path) -> None:
+    """Delete what a run has learned: it begins anew."""
+    for name in (checkpoint.NAME, journal.NAME, "metrics.json"):
+        (folder / name).unlink(missing_ok=True)
+
+
+def names_of(runs: Sequence[Run]) -> list[str]:
+    """Name runs in a table or picture, each differently, by no more than that takes.
+
+    A folder of the usual name is called by what the run is, without its drive and its prior's key.
+    """
+    whole = labels([run.folder for run in runs])
+    short = [KEY.sub("", run.config.title) if run.folder.name.endswith(f"-{run.config.title}") else "" for run in runs]
+    found = [own if own and short.count(own) == 1 else other for own, other in zip(short, whole, strict=True)]
+    return found if len(set(found)) == len(found) else whole
 
 
 def _refuse_taken(folder: Path) -> None:

@@ -4,19 +4,27 @@ from priors.errors import DataError, expect
 
 EVERY_HELD_OUT = 10
 SPARSE_STEP = 4
+HELD_OUT = "held-out"
+"""The training views of a ceiling."""
 
 
 def check_views(views: str) -> None:
-    """Raise UsageError where a text names no training views: dense, sparse or a number from 1 on."""
+    """Raise UsageError where a text names no training views: dense, sparse, held-out or a number from 1 on."""
     number = views.isdecimal() and int(views) >= 1
-    expect(number or views in ("dense", "sparse"), "--views", views or "''", "dense, sparse or a number from 1 on")
+    expect(
+        number or views in ("dense", "sparse", HELD_OUT),
+        "--views",
+        views or "''",
+        "dense, sparse or a number from 1 on",
+    )
 
 
 def split(count: int, views: str) -> tuple[list[int], list[int]]:
     """Part `count` frames into training and held-out positions.
 
     Every 10th frame is held out (positions 9, 19, ...). Of the rest, 'dense' trains on all, 'sparse' on every 4th
-    (the study's 2.5 Hz), and a number N on N of them, evenly spread.
+    (the study's 2.5 Hz), and a number N on N of them, evenly spread. 'held-out' trains on the held-out frames
+    themselves: the ceiling of what a field can show of them, and no result.
 
     Returns:
         training positions, held-out positions.
@@ -28,6 +36,10 @@ def split(count: int, views: str) -> tuple[list[int], list[int]]:
     rest = [position for position in range(count) if position not in set(held_out)]
     if not rest:
         raise DataError("no frames to train on: choose more with --frames")
+    if views == HELD_OUT:
+        if not held_out:
+            raise DataError(f"--views {HELD_OUT}: none of {count} frames is held out: take {EVERY_HELD_OUT} or more")
+        return held_out, held_out
     if views == "dense":
         return rest, held_out
     if views == "sparse":

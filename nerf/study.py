@@ -23,7 +23,7 @@ from nerf.fit import OnStep
 from nerf.losses import DepthLoss
 from nerf.prepare import ProgressBar, SceneConfig, silent
 from nerf.report import Report
-from nerf.run import RunConfig, claim
+from nerf.run import Run, RunConfig, claim
 from priors import cache
 from priors.errors import DataError, UsageError
 from priors.filters import Filters
@@ -181,15 +181,19 @@ class FitRunner:
         budget = {"seconds": self.fit.seconds} if self.fit.steps is None else {"steps": self.fit.steps}
         return {"drive": self.drive.describe(), "frames": self.frames, **budget}
 
-    def __call__(self, spec: RunSpec, folder: Path, config: dict[str, Any]) -> Report:
-        """Fit and score one run; a run of another budget is begun anew."""
+    def begin(self, spec: RunSpec, folder: Path) -> Run:
+        """Begin one run, or open it; a run of another budget is begun anew."""
         loss = cast("DepthLoss", spec.loss or "none")
         model, losses = replace(self.fit.model, family=spec.field), replace(self.fit.losses, loss=loss)
         fitted = replace(self.fit, model=model, losses=losses, seed=spec.seed)
         prior = None if spec.prior == NONE else cache.only(Path(spec.prior))
         scene = SceneConfig(spec.views, self.frames, spec.filters())
         run = claim(folder, RunConfig.of(self.drive, prior, scene, fitted), same_budget=True)
-        run = replace(run, progress=self.progress, source=self.drive)
+        return replace(run, progress=self.progress, source=self.drive)
+
+    def __call__(self, spec: RunSpec, folder: Path, config: dict[str, Any]) -> Report:
+        """Fit and score one run."""
+        run = self.begin(spec, folder)
         with self.watch(spec.name) as on_step:
             run.fit(self.device, on_step)
         typed = {} if self.command is None else {"command": self.command(spec, folder)}

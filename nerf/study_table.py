@@ -33,13 +33,14 @@ from priors.report.page import Chapter, Page, Section
 COLUMNS = {
     "psnr": Column("PSNR", "dB", higher=True, digits=2),
     "ssim_uniform7": Column("SSIM-uniform7", higher=True),
-    "ssim_gauss11": Column("SSIM-gauss11", higher=True),
     "lpips": Column("LPIPS"),
     "lpips_squeeze": Column("LPIPS-squeeze"),
     "lpips_vgg": Column("LPIPS-vgg"),
     "rmse": Column("RMSE", "m"),
     "abs_rel": Column("AbsRel", digits=4),
+    "ssim_gauss11": Column("SSIM-gauss11", higher=True),
 }
+"""In a narrow terminal the last ones are left out first."""
 LEAD = ("field", "views", "prior")
 """What every table names first; rows of one field and one choice of views are ranked together."""
 _CHOICES = ("loss", *SHARES, "truth_mask")
@@ -59,7 +60,7 @@ def lay_out(outcomes: Sequence[Outcome]) -> Table:
     groups: dict[RunSpec, list[Report]] = {}
     for spec, report in made:
         groups.setdefault(replace(spec, seed=0), []).append(report)
-    labels = _labels(list(groups))
+    labels = prior_labels(list(groups))
     guided = [spec for spec in groups if spec.prior != NONE]
     choices = {key: {getattr(spec, key) for spec in guided} for key in _CHOICES}
     varied = [key for key, values in choices.items() if len(values) > 1]
@@ -145,7 +146,7 @@ def density_curves(outcomes: Sequence[Outcome]) -> dict[str, list[Line]]:
             spec = replace(outcome.spec, density=None, seed=0)
             share = 100.0 if outcome.spec.density is None else 100 * outcome.spec.density
             groups.setdefault(spec, {}).setdefault(share, []).append(outcome.report.metrics()["psnr"])
-    labels = _labels(list(groups))
+    labels = prior_labels(list(groups))
     guided = {spec: points for spec, points in groups.items() if spec.prior != NONE and len(points) > 1}
     varied = [key for key in _CHOICES if len({getattr(spec, key) for spec in guided}) > 1]
     plots: dict[str, list[Line]] = {}
@@ -163,7 +164,7 @@ def density_curves(outcomes: Sequence[Outcome]) -> dict[str, list[Line]]:
     return plots
 
 
-def _labels(specs: Sequence[RunSpec]) -> dict[str, str]:
+def prior_labels(specs: Sequence[RunSpec]) -> dict[str, str]:
     """Name each prior shortly, each differently; by its folder where that cannot be read any more."""
     priors = list(dict.fromkeys(spec.prior for spec in specs if spec.prior != NONE))
     try:

@@ -28,7 +28,7 @@ LOOKED_AT = 9
 """Frames of a drive that are looked at, spread evenly."""
 MEASURED = 3
 """Frames on which a prior's share of the ground is measured."""
-INPUTS: Mapping[Input, str] = {"other": "stereo pair", "sweep": "LiDAR", "sparse": "sparse depth maps"}
+INPUTS: Mapping[Input, str] = {"other": "a stereo pair", "sweep": "a LiDAR", "sparse": "sparse depth maps"}
 """What decides the method, in words."""
 
 
@@ -73,7 +73,7 @@ def advise_method(drive: Drive, indices: Sequence[int] | None = None) -> MethodA
         return MethodAdvice("stereo", "it has a stereo pair", has)
     if "sparse" in had or "sweep" in had:
         source = INPUTS["sweep"] if "sweep" in had else INPUTS["sparse"]
-        return MethodAdvice("completion", f"it has {_article(source)}{source} and no stereo pair", has)
+        return MethodAdvice("completion", f"it has {source} and no stereo pair", has)
     return MethodAdvice("mono", "it has neither a stereo pair nor a LiDAR", has)
 
 
@@ -187,7 +187,7 @@ def _seen(prior: Prior, id_: str, sky: Mask) -> float | None:
 
 def _recorded(prior: Prior) -> float:
     """Return the mean density that a build has recorded; 0 where it has not."""
-    densities = [float(line["density"]) for line in prior.lines().values() if "density" in line]
+    densities = prior.figures("density")
     return float(np.mean(densities)) if densities else 0.0
 
 
@@ -202,7 +202,3 @@ def _open_some(drive: Drive, indices: Sequence[int]) -> list[Frame]:
     if not frames:
         raise reason
     return frames
-
-
-def _article(noun: str) -> str:
-    return "" if noun.endswith("s") else "a "

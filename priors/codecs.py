@@ -38,7 +38,7 @@ _JPEG_END, _JPEG_BARE = 0xD9, (0x01, 0xD8)
 
 def read_image(path: Path) -> Image:
     """Read an 8-bit image: (height, width, 3) RGB, or (height, width) where the file is grey."""
-    image = _decode(path, cv2.IMREAD_UNCHANGED)
+    image = _decode(read_bytes(path), path)
     if image.dtype != np.uint8:
         raise DataError(f"{path}: expected an 8-bit image, found {image.dtype}: convert it")
     if image.ndim == 3 and image.shape[2] == 4:
@@ -65,7 +65,12 @@ def encode_lossless(image: Image) -> bytes:
 
 def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:
     """Read a uint16 depth (metres) or disparity (px) PNG: float32 (height, width), 0 = no value."""
-    codes = _decode(path, cv2.IMREAD_UNCHANGED)
+    return decode_depth_png(read_bytes(path), path, encoding)
+
+
+def decode_depth_png(data: bytes, path: Path, encoding: str = "kitti") -> FloatMap:
+    """Read what a file holds as `read_depth_png` does; errors name the path."""
+    codes = _decode(data, path)
     if codes.dtype != np.uint16 or codes.ndim != 2:
         channels = 1 if codes.ndim == 2 else codes.shape[2]
         kind = f"{8 * codes.itemsize} bits and {channels} channel{'s' if channels > 1 else ''}"
@@ -93,27 +98,41 @@ def encode_depth(depth_m: npt.NDArray[np.floating], encoding: str = "kitti") -> 
 
 def write_depth_png(path: Path, depth_m: npt.NDArray[np.floating], encoding: str = "kitti") -> int:
     """Write a uint16 depth PNG atomically; returns how many values were too large and left out."""
-    codes, too_large = encode_depth(depth_m, encoding)
-    # Level 1: 31 ms a KITTI frame; level 6 takes four times that to save 3 %.
-    write_bytes(path, _encode(path, codes, [cv2.IMWRITE_PNG_COMPRESSION, 1]))
+    data, too_large = encode_depth_png(depth_m, encoding)
+    write_bytes(path, data)
     return too_large
+
+
+def encode_depth_png(depth_m: npt.NDArray[np.floating], encoding: str = "kitti") -> tuple[bytes, int]:
+    """Return the bytes of a depth PNG, and how many values were too large and left out."""
+    codes, too_large = encode_depth(depth_m, encoding)
+    return _encode_png(codes), too_large
 
 
 def read_confidence_png(path: Path) -> FloatMap:
     """Read a uint16 or uint8 confidence PNG: float32 (height, width) in [0, 1]."""
-    codes = _decode(path, cv2.IMREAD_UNCHANGED)
+    return decode_confidence_png(read_bytes(path), path)
+
+
+def decode_confidence_png(data: bytes, path: Path) -> FloatMap:
+    """Read what a file holds as `read_confidence_png` does; errors name the path."""
+    codes = _decode(data, path)
     if codes.dtype not in (np.uint8, np.uint16) or codes.ndim != 2:
         raise DataError(f"{path}: expected a one-channel PNG of integers, found {codes.dtype} with shape {codes.shape}")
     return codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
 
 
 def write_confidence_png(path: Path, confidence: FloatMap) -> None:
-    """Write confidence in [0, 1] as a uint16 PNG, rounded, atomically.
+    """Write confidence in [0, 1] as a uint16 PNG, rounded, atomically."""
+    write_bytes(path, encode_confidence_png(confidence))
+
+
+def encode_confidence_png(confidence: FloatMap) -> bytes:
+    """Return the bytes of a uint16 PNG of a confidence in [0, 1], rounded.
 
     Eight bits would lump together most of what a good method trusts: 0.99 and 0.999 are apart by three codes.
     """
-    codes = np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 65535).astype(np.uint16)
-    write_bytes(path, _encode(path, codes, [cv2.IMWRITE_PNG_COMPRESSION, 1]))
+    return _encode_png(np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 65535).astype(np.uint16))
 
 
 def read_float_map(path: Path) -> FloatMap:
@@ -132,7 +151,7 @@ def read_float_map(path: Path) -> FloatMap:
 
 def read_pfm(path: Path) -> FloatMap:
     """Read a one-channel PFM file as stored, top row first; invalid values are the caller's to judge."""
-    data = _read_bytes(path)
+    data = read_bytes(path)
     lines = data.split(b"\n", 3)
     try:
         if lines[0].strip() != b"Pf":
@@ -153,7 +172,7 @@ def write_pfm(path: Path, values: FloatMap) -> None:
 
 
 def _load_numpy(path: Path) -> npt.NDArray[np.floating]:
-    data = io.BytesIO(_read_bytes(path))
+    data = io.BytesIO(read_bytes(path))
     try:
         loaded = np.load(data, allow_pickle=False)
         array = loaded if isinstance(loaded, np.ndarray) else loaded[loaded.files[0]]
@@ -167,7 +186,8 @@ def _load_numpy(path: Path) -> npt.NDArray[np.floating]:
         return np.asarray(array, dtype=np.float32)
 
 
-def _read_bytes(path: Path) -> bytes:
+def read_bytes(path: Path) -> bytes:
+    """Read a file; DataError where it is missing or cannot be read."""
     try:
         return path.read_bytes()
     except FileNotFoundError as error:
@@ -176,11 +196,10 @@ def _read_bytes(path: Path) -> bytes:
         raise DataError(f"{path}: cannot be read ({error.strerror})") from error
 
 
-def _decode(path: Path, flags: int) -> npt.NDArray[Any]:
-    data = _read_bytes(path)
+def _decode(data: bytes, path: Path) -> npt.NDArray[Any]:
     # OpenCV 4 fills what a truncated file lacks with zeros or grey, which would pass for "no value" or for a wall.
     # What follows the end mark is nobody's: cameras and downloads append it, decoders stop at the mark.
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags) if data and _is_whole(data) else None
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data and _is_whole(data) else None
     if image is None:
         raise DataError(f"{path}: damaged image ({len(data)} bytes): download or build it again")
     return image
@@ -220,6 +239,11 @@ def _encode(path: Path, pixels: npt.NDArray[Any], options: list[int]) -> bytes:
     if not done:
         raise DataError(f"{path}: OpenCV cannot write {pixels.dtype} {pixels.shape} as {path.suffix}")
     return data.tobytes()
+
+
+def _encode_png(codes: npt.NDArray[np.uint16]) -> bytes:
+    """Return the bytes of a PNG. Level 1: 31 ms a KITTI frame; level 6 takes four times that to save 3 %."""
+    return _encode(Path("codes.png"), codes, [cv2.IMWRITE_PNG_COMPRESSION, 1])
 
 
 def as_grey(image: Image) -> Image:

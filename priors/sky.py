@@ -11,6 +11,7 @@ Three steps, the first two on blocks of pixels (at most 20,000):
 The coefficients lie in weights/sky.npz; `python -m priors.learn.fit_sky` fitted them, weights/sky.md says on what.
 """
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -64,7 +65,7 @@ def doubt(depth: Depth, sky: Mask) -> Depth:
     """Return a depth map whose confidence is 0 in the sky (height, width); what it says of depth there stays."""
     if depth.confidence is None:
         return depth
-    return Depth(depth.depth_m, np.where(sky, np.float32(0), depth.confidence))
+    return replace(depth, confidence=np.where(sky, np.float32(0), depth.confidence))
 
 
 def rows_below(sky: Mask, margin: int = 16) -> slice:

@@ -42,6 +42,9 @@ class Depth:
     """(height, width) float32, distance along the camera's z axis in metres; 0 = no value."""
     confidence: FloatMap | None = None
     """(height, width) float32 in [0, 1], 0 where depth_m is 0; None where the method has none."""
+    consistency: FloatMap | None = None
+    """(height, width) float32 in [0, 1]: a second confidence, how well the neighbouring frames' maps agree; None where
+    nobody compared them."""
 
     @property
     def valid(self) -> Mask:
@@ -61,8 +64,11 @@ class Depth:
 
     def keep(self, mask: Mask) -> "Depth":
         """Return the map with everything outside mask (height, width) made invalid."""
-        confidence = None if self.confidence is None else np.where(mask, self.confidence, np.float32(0))
-        return Depth(np.where(mask, self.depth_m, np.float32(0)), confidence)
+        kept = [
+            None if part is None else np.where(mask, part, np.float32(0))
+            for part in (self.confidence, self.consistency)
+        ]
+        return Depth(np.where(mask, self.depth_m, np.float32(0)), *kept)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,6 +128,9 @@ class Frame:
     """Which eye of the pair this camera is."""
     rig: Rig | None = None
     """The car that took it, where the error of its rectification is known."""
+    files: Mapping[str, Callable[..., Path | None]] = field(default_factory=dict)
+    """Which file a reader reads when it is called with the same arguments; None where the drive has no such file.
+    A reader that is not listed is not watched: a changed file of it is not noticed."""
 
     def has(self, what: Input) -> bool:
         """Tell whether it can be read here."""

@@ -48,7 +48,7 @@ def scored(prior: Prior, error: float, protocol: str = "paper", ids: tuple[str, 
 
 def test_a_pair_asks_for_stereo(drive: Drive) -> None:
     advice = advise_method(drive)
-    assert (advice.method, advice.has) == ("stereo", ("stereo pair",))
+    assert (advice.method, advice.has) == ("stereo", ("a stereo pair",))
 
 
 def test_a_lidar_without_a_pair_asks_for_completion(tmp_path: Path) -> None:

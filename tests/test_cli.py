@@ -317,7 +317,7 @@ def test_a_missing_folder_is_one_line(tmp_path: Path) -> None:
 def test_a_cache_of_another_version_is_refused_and_kept(built: Path, street: Path, tmp_path: Path) -> None:
     shutil.copytree(built / "cache", tmp_path / "cache")
     manifest = next((tmp_path / "cache").glob("*/stereo-*/manifest.json"))
-    manifest.write_text(manifest.read_text().replace('"format": 1', '"format": 99'))
+    manifest.write_text(manifest.read_text().replace('"format": 2', '"format": 99'))
     maps = stamps(manifest.parent)
     assert "format 99" in fail("eval", "cache", cwd=tmp_path)
     next(manifest.parent.glob("depth/*.png")).unlink()
@@ -357,7 +357,7 @@ def test_the_drive_and_the_method_may_be_left_out(street: Path, tmp_path: Path) 
     (tmp_path / "below" / "here").symlink_to(drive_folder(street))
     assert "priors build --frames 0:1 --method stereo" in fail("build", "--frames", "0:1", cwd=tmp_path, code=2)
     words = ["build", "--frames", "0:1", "--lidar.sweeps", "3", "--method"]
-    assert "--lidar.sweeps: a flag of another method" in fail(*words, "stereo", cwd=tmp_path, code=2)
+    assert "--lidar.sweeps: a flag of --method lidar, not of stereo" in fail(*words, "stereo", cwd=tmp_path, code=2)
     done = priors(*words, "auto", cwd=tmp_path)
     assert done.returncode == 0
     assert "method: stereo: it has a stereo pair" in done.stderr and "--lidar.sweeps: not used" in done.stderr

@@ -74,7 +74,7 @@ def test_named_reader_on_another_layout_says_what_it_wants(image_folder: Path) -
 
 
 def test_a_manifest_without_a_drive_is_named() -> None:
-    with pytest.raises(DataError, match="the manifest's drive lacks 'path' or 'dataset'"):
+    with pytest.raises(DataError, match=r"does not say where its drive is .*--data"):
         reopen({"dataset": "folder"})
 
 

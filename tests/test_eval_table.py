@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from rich.console import Console
+from rich.text import Text
 
 from eval import table
 from eval.protocol import ScoreError, preset
@@ -61,7 +62,7 @@ def test_other_protocols_are_refused_by_every_writer(three, tmp_path):
         with pytest.raises(ScoreError, match="lidar and paper were scored by different protocols"):
             write(mixed)
     with pytest.raises(ScoreError, match="different protocols"):
-        table.save(mixed, tmp_path / "t.csv")
+        table.save([("", mixed)], tmp_path / "t.csv")
     assert not list(tmp_path.iterdir())
 
 
@@ -108,10 +109,10 @@ def test_csv_holds_every_figure_in_full_and_both_poolings(three):
 
 def test_save_writes_by_suffix_and_names_the_choice(three, tmp_path):
     for suffix, start in {".md": "| prior", ".tex": "% ", ".csv": "prior,", ".txt": "prior "}.items():
-        table.save(three, tmp_path / "new" / f"t{suffix}")
+        table.save([("", three)], tmp_path / "new" / f"t{suffix}")
         assert (tmp_path / "new" / f"t{suffix}").read_text().startswith(start)
     with pytest.raises(ScoreError, match=r"t.xls: expected a table ending in .md, .tex, .csv, .txt"):
-        table.save(three, tmp_path / "t.xls")
+        table.save([("", three)], tmp_path / "t.xls")
 
 
 def test_piped_output_is_plain_aligned_text(three):
@@ -159,3 +160,20 @@ def test_a_narrow_terminal_shows_what_people_look_at_first(three):
     assert places == sorted(places) and "δ<1.25²" not in heads
     table.show(three, ["sq_rel"], screen)
     assert "SqRel" in screen.file.getvalue()
+
+
+def test_long_names_are_folded_before_figures_are_left_out(three):
+    long = [replace(r, info={"prior": f"{r.name} offset-px=0.42,-0.31,1.1,-0.7 scale=0.98 + Clip 40"}) for r in three]
+    file = io.StringIO()
+    table.show(long, console=Console(file=file, width=80, force_terminal=True))
+    text = file.getvalue()
+    assert "…" not in text and max(map(len, Text.from_ansi(text).plain.splitlines())) <= 80
+    for shown in ("AbsRel", "RMSE", "δ<1.25", "density", "0.0100", "Clip 40"):
+        assert shown in text
+
+
+def test_names_are_no_markup(three):
+    file = io.StringIO()
+    odd = replace(three[0], info={"prior": "[/x] [red]a"})
+    table.show([odd], console=Console(file=file, width=200, force_terminal=True))
+    assert "[/x] [red]a" in file.getvalue()

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Iterator
 from dataclasses import MISSING, dataclass, fields
-from importlib import import_module
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
@@ -11,8 +10,8 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import pytest
 
 from cli.nerf import PROGRAM as NERF
+from cli.owners import PROGRAMS, arguments_of
 from cli.priors import PROGRAM as PRIORS
-from cli.priors import train
 from cli.renamed import groups
 from priors.errors import DataError
 
@@ -66,32 +65,10 @@ def _kinds(hint: Any) -> Iterator[type]:
             yield part
 
 
-class Asked(Exception):
-    """A command asked for its arguments to be parsed."""
-
-
-def _arguments(module: Any, words: list[str]) -> type[Any]:
-    """Return the dataclass of a command's arguments: what it asks `parse` for."""
-
-    def ask(kind: type[Any], *_: Any) -> None:
-        raise Asked(kind)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "parse", ask)
-        with pytest.raises(Asked) as caught:
-            module.run(words)
-    kind: type[Any] = caught.value.args[0]
-    return kind
-
-
 def _flags() -> dict[str, Flag]:
     """Return the flags of all commands by config and name."""
-    kinds = [_arguments(train, [name, "x"]) for name in train.KINDS]
-    for program in (PRIORS, NERF):
-        names = [name for name in program.commands if name != "train"]
-        kinds += [_arguments(import_module(f"cli.{program.name}.{name}"), ["x"]) for name in names]
     found = {}
-    for kind in kinds:
+    for kind in (kind for program in PROGRAMS for kind in arguments_of(program).values()):
         for config, prefix in groups(kind):
             for each in fields(config):
                 name = prefix + each.name.replace("_", "-")
@@ -111,6 +88,9 @@ TRIED = [
 
 
 def test_all_commands_are_walked() -> None:
+    for program in (PRIORS, NERF):
+        typed = {" ".join(command.split()[:2]) for command in arguments_of(program.name)}
+        assert typed == {f"{program.name} {name}" for name in program.commands}
     names = {flag.name for flag in FLAGS.values()}
     assert {"threads", "stereo.max-disparity-px", "depth-weight", "size", "lr", "fps", "voxel-m", "every"} <= names
     assert len(TRIED) > 200

@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from cli import mistakes
+from cli import mistakes, owners
+from cli.nerf import PROGRAM as NERF
+from cli.priors import PROGRAM as PRIORS
 from cli.program import Program
 from cli.stand_ins import say_plainly, stand_in
 from cli.terminal import Screen
@@ -35,6 +37,52 @@ def test_the_nearest_flag_is_told() -> None:
     assert wrong("--sise-px", "3") == "priors x has no flag --sise-px: did you mean --size-px?"
     assert wrong("--stero.model=m").endswith("did you mean --stereo.model?")
     assert wrong("--zzzzzzzzz").endswith("see priors x --help")
+
+
+@pytest.mark.parametrize(
+    ("command", "words", "says"),
+    [
+        (
+            "priors build",
+            ["--steps", "3"],
+            "has no flag --steps: a flag of nerf fit, nerf video, nerf study and 1 more",
+        ),
+        (
+            "priors check",
+            ["--no-truth-mask"],
+            "has no flag --no-truth-mask: a flag of priors build, nerf fit and nerf study",
+        ),
+        ("priors eval", ["--threads", "3"], "a flag of priors build, nerf fit, "),
+        ("nerf fit", ["--stereo.model=cfnet"], "a flag of priors build"),
+        ("nerf eval", ["--voxel_m", "1"], "a flag of nerf export"),
+        ("nerf render", ["--net", "x"], "a flag of priors train"),
+        ("priors train mono", ["--net", "x"], "a flag of priors train stereo"),
+        ("priors build", ["--method", "stereo", "--model", "cfnet"], "did you mean --stereo.model?"),
+        ("priors build", ["--sweeps", "3"], "did you mean --completion.lidar.sweeps or --lidar.sweeps?"),
+        ("priors show", ["--frame", "3"], "did you mean --frames?"),
+        ("priors train stereo", ["--minute", "3"], "did you mean --minutes?"),
+    ],
+)
+def test_a_flag_says_whose_it_is(command: str, words: list[str], says: str) -> None:
+    kind = owners.arguments_of(command.split()[0])[command]
+    with pytest.raises(UsageError) as caught:
+        mistakes.refuse_unknown(kind, command, words)
+    assert says in str(caught.value) and "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("program", "word", "says"),
+    [
+        (PRIORS, "fit", "priors has no command 'fit': it is nerf fit"),
+        (NERF, "build", "nerf has no command 'build': it is priors build"),
+        (NERF, "list", "it is priors list"),
+        (PRIORS, "--frames", "a command comes first: priors COMMAND --frames"),
+        (PRIORS, "chekc", "did you mean check?"),
+    ],
+)
+def test_a_command_says_whose_it_is(program: Program, word: str, says: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert program.run([word]) == 2
+    assert says in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("words", "said"), [(["--size-px"], "--size-px"), (["--size-px", "a"], "'a'"), (["y"], "y")])

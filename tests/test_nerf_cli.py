@@ -1,7 +1,9 @@
 """`nerf`'s commands from fit to export on a tiny street, and what they say of bad input: one line, nothing lost."""
 
+import io
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import av
@@ -9,10 +11,16 @@ import numpy as np
 import pytest
 import torch
 from conftest import FullDisk
+from factories import write_folder
+from rich.console import Console
 from safetensors.torch import load_file
 
 from cli.nerf import PROGRAM
+from cli.nerf.eval import print_tables
+from eval.typeset import render
+from nerf.page import lay_out
 from nerf.pictures import KEPT, picture_path
+from nerf.report import Report
 from nerf.run import open_run
 from priors import build, codecs
 from priors.drives import open_drive
@@ -83,6 +91,28 @@ def test_eval_writes_a_report_page(home: Path, tmp_path: Path) -> None:
     assert "<dt>budget</dt>\n<dd>3 steps</dd>" in page
 
 
+def test_runs_of_several_drives_have_a_table_each(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = open_run(home / "runs" / "prior")
+    other = replace(run, source=open_drive(write_folder(tmp_path / "mine")))
+    report = Report.load(run.folder / "metrics.json")
+    tables = print_tables([run, other, run], [report] * 3)
+    assert [len(table.names) for table in tables] == [2, 1]
+    assert [table.caption.split(":")[0] for table in tables] == [run.drive.name, other.drive.name]
+    assert len(re.findall(r"^run +PSNR", capsys.readouterr().out, re.MULTILINE)) == 2
+
+
+def test_in_80_columns_a_table_has_what_people_came_for(home: Path) -> None:
+    run = open_run(home / "runs" / "prior")
+    laid = lay_out(["ngp-sparse-l1-stereo"], [Report.load(run.folder / "metrics.json")])
+    screen = Console(width=80, file=io.StringIO())
+    screen.print(render(laid, 80))
+    shown = screen.file.getvalue()  # type: ignore[attr-defined]
+    assert all(label in shown for label in ("PSNR", "SSIM-uniform7", "RMSE", "AbsRel"))
+    assert max(map(len, shown.splitlines())) <= 80
+
+
 def test_new_poses_are_rendered(home: Path, tmp_path: Path) -> None:
     pose = open_drive(home / "street")[9].T_world_cam
     assert pose is not None
@@ -110,9 +140,14 @@ def test_a_run_goes_on_and_says_where_nothing_is_left(
     shutil.copytree(home / "runs" / "prior", tmp_path / "runs" / "prior")
     fit = ["fit", home / "street", "--prior", prior_of(home), "--run", tmp_path / "runs" / "prior", "--steps"]
     assert nerf(*fit, 3) == 0
-    assert "trained before, 3 steps" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "trained before, 3 steps" in told and "goes on from" not in told
     assert nerf(*fit, 4) == 0
-    assert "trained before" not in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "trained before" not in told
+    assert re.findall(r"^(\w+)[: ]", told, re.MULTILINE)[:4] == ["run", "views", "field", "training"]
+    assert "96x32: 9 of 10 frames train, 1 are held out" in told
+    assert f"field: ngp, guided by {prior_of(home).name}, loss l1; 4 steps, goes on from step 3, " in told
     assert "other settings" in refused(capsys, *fit, 4, "--views", "sparse")
 
 
@@ -147,6 +182,7 @@ def test_priors_that_cannot_be_used_are_refused_in_a_line(
     for path in [*(few / "depth").glob("000000000[1-9].png")]:
         path.unlink()
     assert "none of the 5 frames has a map" in refused(capsys, *street, "--prior", few, "--frames", "5:10")
+    (few / "frames.jsonl").unlink()  # the checksums: from here on another tool's maps
     for path in (few / "depth").glob("*.png"):
         codecs.write_depth_png(path, np.zeros(SIZE, np.float32))
     assert "no value in any" in refused(capsys, *street, "--prior", few)

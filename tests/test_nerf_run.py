@@ -16,10 +16,11 @@ from nerf import checkpoint
 from nerf.config import FitConfig, ModelConfig
 from nerf.fit import Status
 from nerf.prepare import SceneConfig
-from nerf.run import CONFIG, OWNER, begin, open_run
+from nerf.run import CONFIG, OWNER, Run, RunConfig, begin, names_of, open_run
 from nerf.viewpoints import read_poses
 from priors.drives import open_drive
 from priors.errors import DataError
+from priors.filters import Filters
 from priors.machine import threads
 from priors.street.write import write_street
 from priors.types import Camera, Drive, Frame
@@ -117,6 +118,19 @@ def test_a_run_that_another_process_fits_is_refused(street: Path, tmp_path: Path
         run.fit("cpu")
     assert checkpoint.spent(folder).step == STEPS
     assert not (folder / OWNER).exists()
+
+
+def test_a_table_s_names_are_as_short_as_they_can_be() -> None:
+    def made(folder: str, prior: str | None) -> Run:
+        return Run(Path(folder), RunConfig({}, prior, None, "sparse", Filters(), config()))
+
+    alone, stereo = made("runs/street-ngp-sparse", None), "street-ngp-sparse-l1-stereo-"
+    one = made(f"runs/{stereo}0123456789", "cache/street/stereo-0123456789")
+    other = made(f"runs/{stereo}abcdef0123", "cache/street/stereo-abcdef0123")
+    assert names_of([alone, one]) == ["ngp-sparse", "ngp-sparse-l1-stereo"]
+    assert names_of([one, other]) == [f"{stereo}0123456789", f"{stereo}abcdef0123"]
+    assert names_of([alone, made("runs/mine", None)]) == ["ngp-sparse", "mine"]
+    assert names_of([alone, made("ngp-sparse", None)]) == ["street-ngp-sparse", "ngp-sparse"]
 
 
 def test_views_are_rendered_where_they_are_asked_for(street: Path, tmp_path: Path) -> None:

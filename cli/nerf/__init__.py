@@ -14,6 +14,7 @@ PROGRAM = Program(
         "view": "look at a field, live in a browser",
         "export": "write a point cloud or a mesh",
         "study": "fit a grid of priors, views, losses and fields; one table",
+        "bench": "fit fields side by side: quality against time",
     },
     """\
   nerf fit street/ --prior cache/ --views sparse --time 60s       -> runs/..., held-out views scored

@@ -11,18 +11,18 @@ import tyro
 from cli.arguments import Device, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, out
 from cli.nerf.arguments import open_moved
+from cli.written import expect_file, expect_folder
 from eval import lpips, typeset
 from eval.files import write_bytes
 from nerf.comparison import views_wipe
-from nerf.naming import labels
 from nerf.page import FieldScores, lay_out
 from nerf.pictures import compare, load_view
 from nerf.report import Report
-from nerf.run import Run, find_all
+from nerf.run import Run, find_all, names_of
 from nerf.story import story_page
 from nerf.truths import Truths
 from priors import codecs
-from priors.errors import DataError, UsageError
+from priors.errors import DataError
 from priors.report.page import SUFFIX
 from priors.report.sample import Sample
 from priors.types import Image
@@ -69,12 +69,16 @@ class ReportArguments(ThreadArguments):
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
 
 
+ARGUMENTS = {"nerf eval": ReportArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ReportArguments, "nerf eval", EXAMPLES, arguments)
-    bad = [path for path in args.save if path.suffix not in (*WRITERS, SUFFIX)]
-    if bad:
-        raise UsageError(f"--save {bad[0]}: expected a name that ends in {', '.join((*WRITERS, SUFFIX))}")
+    for path in args.save:
+        expect_file("--save", path, (*WRITERS, SUFFIX))
+    if args.pictures is not None:
+        expect_folder("--pictures", args.pictures)
     with args.limited():
         return _score(args, shlex.join(["nerf", "eval", *arguments]))
 
@@ -82,12 +86,12 @@ def run(arguments: list[str]) -> int:
 def _score(args: ReportArguments, command: str) -> int:
     folders = find_all(args.runs)
     runs, reports = report_runs(folders, args.data, args.device, args.lpips.open())
-    laid = print_table(runs, reports)
+    tables = print_tables(runs, reports)
     for path in args.save:
         if path.suffix == SUFFIX:
             story_page(scored_fields(runs, reports, Sample()), [], command, Sample().room).write(path)
         else:
-            write_bytes(path, WRITERS[path.suffix](laid).encode())
+            write_bytes(path, "\n".join(map(WRITERS[path.suffix], tables)).encode())
         out.print(f"wrote {path}")
     if args.pictures is not None:
         count = 0
@@ -119,22 +123,28 @@ def report_runs(
 
 def scored_fields(runs: Sequence[Run], reports: Sequence[Report], sample: Sample) -> list[FieldScores]:
     """Put the runs of each drive together, with pictures of their held-out views."""
-    drives: dict[str, list[tuple[Run, Report]]] = {}
-    for run, report in zip(runs, reports, strict=True):
-        drives.setdefault(run.drive.fingerprint(), []).append((run, report))
     scored = []
-    for made in drives.values():
-        own = [run for run, _ in made]
-        of_drive = FieldScores(own, [report for _, report in made])
+    for own, figures in _by_drive(runs, reports):
+        of_drive = FieldScores(own, figures)
         scored.append(replace(of_drive, wipe=views_wipe(own, of_drive.figures, sample)))
     return scored
+
+
+def _by_drive(runs: Sequence[Run], reports: Sequence[Report]) -> list[tuple[list[Run], list[Report]]]:
+    """Sort runs and their reports by the drive."""
+    drives: dict[str, tuple[list[Run], list[Report]]] = {}
+    for run, report in zip(runs, reports, strict=True):
+        own, figures = drives.setdefault(run.drive.fingerprint(), ([], []))
+        own.append(run)
+        figures.append(report)
+    return list(drives.values())
 
 
 def _compared(runs: Sequence[Run]) -> Iterator[tuple[str, Image]]:
     """Set the views side by side that all runs hold out, of one drive."""
     if not _one_drive(runs):
         raise DataError("--pictures: the runs are of several drives: name the runs of one")
-    drive, scene, names = runs[0].drive, runs[0].scene, labels([run.folder for run in runs])
+    drive, scene, names = runs[0].drive, runs[0].scene, names_of(runs)
     ids = [[each.scene.ids[position] for position in each.scene.test] for each in runs]
     truths = Truths(drive, ids[0])
     for id_, position in zip(ids[0], scene.test, strict=True):
@@ -147,11 +157,17 @@ def _one_drive(runs: Sequence[Run]) -> bool:
     return len({each.drive.fingerprint() for each in runs}) == 1
 
 
-def print_table(runs: Sequence[Run], reports: Sequence[Report]) -> typeset.Table:
-    """Print a row a run."""
-    laid = lay_out(labels([run.folder for run in runs]), reports)
-    if out.is_terminal:
-        out.print(typeset.render(laid, out.width))
-    else:
-        out.write(typeset.plain(laid))
-    return laid
+def print_tables(runs: Sequence[Run], reports: Sequence[Report]) -> list[typeset.Table]:
+    """Print a table a drive, in it a row a run."""
+    drives = _by_drive(runs, reports)
+    tables = []
+    for own, figures in drives:
+        laid = lay_out(names_of(own), figures)
+        if len(drives) > 1:
+            laid = replace(laid, caption=f"{own[0].drive.name}: {laid.caption}")
+        if out.is_terminal:
+            out.print(typeset.render(laid, out.width))
+        else:
+            out.write(typeset.plain(laid))
+        tables.append(laid)
+    return tables

@@ -9,6 +9,7 @@ import tyro
 from cli.arguments import parse
 from cli.console import out, progress
 from cli.nerf.arguments import RunArguments
+from cli.written import expect_file
 from nerf.export import CloudConfig, write_cloud, write_mesh
 
 EXAMPLES = """Write a coloured point cloud (.ply), or a mesh (.ply, .obj, .glb; needs open3d), in the drive's frame.
@@ -30,6 +31,9 @@ class ExportArguments(RunArguments):
     cloud: tyro.conf.OmitArgPrefixes[CloudConfig] = field(default_factory=CloudConfig)
 
 
+ARGUMENTS = {"nerf export": ExportArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Write the file; returns the exit code."""
     args = parse(ExportArguments, "nerf export", EXAMPLES, arguments)
@@ -38,9 +42,10 @@ def run(arguments: list[str]) -> int:
 
 
 def _export(args: ExportArguments) -> int:
-    this_run = args.open()
-    views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     path = args.out or args.run / f"{args.kind}.ply"
+    this_run = args.open()
+    expect_file("--out", path)
+    views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     write = write_cloud if args.kind == "cloud" else write_mesh
     with progress(args.kind, len(views.ids)) as step:
         count = write(path, model.render, views.camera, views.T_world_cam, args.cloud, step)

@@ -8,14 +8,16 @@ import tyro
 
 from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import err, fit_progress, out, progress
-from cli.nerf.eval import LpipsArguments, print_table
+from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
-from nerf import checkpoint, fields
+from nerf import checkpoint, fields, origin
+from nerf.checkpoint import Spent
 from nerf.config import FitConfig, ModelConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
-from nerf.run import begin
+from nerf.run import Run, RunConfig, begin
 from nerf.sample import SamplerConfig
+from nerf.scene import Scene
 from priors.errors import UsageError, expect
 from priors.filters import Filters
 
@@ -84,6 +86,9 @@ class FitArguments(ThreadArguments, DriveArguments):
         return FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
 
 
+ARGUMENTS = {"nerf fit": FitArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Fit; returns the exit code."""
     args = parse(FitArguments, "nerf fit", EXAMPLES, arguments)
@@ -92,33 +97,66 @@ def run(arguments: list[str]) -> int:
 
 
 def _fit(args: FitArguments, typed: list[str]) -> int:
-    config, scene = args.config(), args.scene()
-    trained = fields.is_trained(args.field)
-    if args.prior is None and not trained:
+    if args.prior is None and not fields.is_trained(args.field):
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
     drive, prior = open_sources(args, args.prior, typed)
-    this_run = begin(drive, prior, scene, config, args.run, progress)
-    if len(this_run.scene.train) == 1:
-        err.print("one training view: colours tell nothing about depth there; only a prior does")
-    before = checkpoint.spent(this_run.folder)
-    with fit_progress(this_run.name) as on_step:
+    this_run = begin(drive, prior, args.scene(), args.config(), args.run, progress)
+    with this_run.held():
+        return _fit_and_score(args, this_run)
+
+
+def _fit_and_score(args: FitArguments, this_run: Run) -> int:
+    err.print(f"run: {this_run.folder}")
+    scene, before = this_run.scene, checkpoint.spent(this_run.folder)
+    _tell(scene, this_run.config, before)
+    with fit_progress("training") as on_step:
         this_run.fit(args.device, on_step)
-    if trained and before.step == checkpoint.spent(this_run.folder).step:
+    if fields.is_trained(args.field) and before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
-    if this_run.scene.test:
-        print_table([this_run], [this_run.report(args.device, args.lpips.open())])
+    if scene.test:
+        print_tables([this_run], [this_run.report(args.device, args.lpips.open())])
     else:
-        count = len(this_run.scene.ids)
-        out.print(f"none of the {count} frames is held out (the 10th, 20th, ... are): nothing to score")
+        out.print(f"none of the {len(scene.ids)} frames is held out (the 10th, 20th, ... are): nothing to score")
     out.print(f"wrote {this_run.folder}")
     return 0
 
 
-def seconds(text: str) -> float:
-    """Turn 90s, 5m or 1h into seconds."""
+def _tell(scene: Scene, config: RunConfig, before: Spent) -> None:
+    """Say what is about to be trained: on what, by what, for how long."""
+    height, width = scene.camera.size
+    views = f"{len(scene.train)} of {len(scene.ids)} frames train, {len(scene.test)} are held out"
+    err.print(f"views: {scene.name}, {width}x{height}: {views}")
+    if scene.origin_m != origin.NONE:
+        err.print(f"origin: {origin.told(scene.origin_m)} m is taken off, and put back on what is written")
+    err.print(f"field: {config.fit.model.family}, {_guide(config)}; {_budget(config.fit, before)}")
+    if len(scene.train) == 1:
+        err.print("one training view: colours tell nothing about depth there; only a prior does")
+
+
+def _guide(config: RunConfig) -> str:
+    """Say what tells the field of depth."""
+    if config.prior is None:
+        return "colours alone"
+    if not fields.is_trained(config.fit.model.family):
+        return f"drawn by the depth of {Path(config.prior).name}"
+    loss = config.fit.losses.loss
+    return f"guided by {Path(config.prior).name}, {'no depth loss' if loss == 'none' else f'loss {loss}'}"
+
+
+def _budget(fit: FitConfig, before: Spent) -> str:
+    """Say how long it trains, and from where."""
+    if not fields.is_trained(fit.model.family):
+        return "it is not trained"
+    budget = f"{fit.steps} steps" if fit.steps is not None else f"{fit.seconds:g} s"
+    left = before.step and fit.progress(before.step, before.elapsed_s) < 1
+    return budget + (f", goes on from step {before.step}, {before.elapsed_s:.0f} s" if left else "")
+
+
+def seconds(text: str, flag: str = "--time") -> float:
+    """Turn 90s, 5m or 1h into seconds; `flag` is named where it cannot be done."""
     try:
         value = float(text[:-1]) * UNITS_S[text[-1]] if text[-1:] in UNITS_S else float(text)
     except ValueError as error:
-        raise UsageError(f"--time {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
-    expect(0 < value <= MOST_S, "--time", text, "more than 0, and less than a year")
+        raise UsageError(f"{flag} {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
+    expect(0 < value <= MOST_S, flag, text, "more than 0, and less than a year")
     return value

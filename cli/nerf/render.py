@@ -6,6 +6,7 @@ from pathlib import Path
 from cli.arguments import parse
 from cli.console import out
 from cli.nerf.arguments import RunArguments
+from cli.written import expect_folder
 from nerf.viewpoints import read_poses
 
 EXAMPLES = """Render views: rgb/, depth/ (16-bit PNG, metres x 256) and depth_colour/ for each.
@@ -26,6 +27,9 @@ class RenderArguments(RunArguments):
     """Folder; default: views/ in the run's folder."""
 
 
+ARGUMENTS = {"nerf render": RenderArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Render; returns the exit code."""
     args = parse(RenderArguments, "nerf render", EXAMPLES, arguments)
@@ -34,11 +38,12 @@ def run(arguments: list[str]) -> int:
 
 
 def _render(args: RenderArguments) -> int:
+    folder = args.out or args.run / "views"
     this_run = args.open()
+    expect_folder("--out", folder)
     views = this_run.viewpoints(args.frames)
     if args.poses is not None:
         views = read_poses(args.poses, views.camera)
-    folder = args.out or args.run / "views"
     this_run.render(views, folder, args.device)
     out.print(f"wrote {len(views.ids)} views to {folder}")
     return 0

@@ -12,6 +12,7 @@ from cli.console import DATA_ERROR, err, out
 from cli.nerf.eval import LpipsArguments, report_runs, scored_fields
 from cli.priors import report as priors_report
 from cli.priors.report import check_page
+from cli.written import expect_file
 from nerf.page import FieldScores
 from nerf.run import find_all
 from nerf.story import fitting, story_page
@@ -51,9 +52,13 @@ class StoryArguments(ThreadArguments):
         check_page(self.out)
 
 
+ARGUMENTS = {"nerf report": StoryArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Write the page; returns the exit code."""
     args = parse(StoryArguments, "nerf report", EXAMPLES, arguments)
+    expect_file("--out", args.out)
     with args.limited():
         return _write(args, shlex.join(["nerf", "report", *arguments]))
 

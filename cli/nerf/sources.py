@@ -4,9 +4,8 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from cli.arguments import DriveArguments, by_drive, reopen_drive
+from cli.arguments import DriveArguments, by_drive, find_priors, reopen_drive
 from cli.console import err
-from priors import cache
 from priors.advice import PriorAdvice, advise_prior
 from priors.cache import Prior
 from priors.drives import poses_of
@@ -31,7 +30,7 @@ def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str])
     """
     if prior is None:
         return args.open(typed), None
-    priors = cache.find(CACHE if prior == AUTO else prior)
+    priors = find_priors(CACHE if prior == AUTO else prior)
     if args.data is not None:
         drive = args.open()
         own = [one for one in priors if one.manifest.get("fingerprint") == drive.fingerprint()]

@@ -8,7 +8,7 @@ from typing import Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse
+from cli.arguments import Device, DriveArguments, ThreadArguments, find_priors, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName, seconds
@@ -18,7 +18,6 @@ from nerf.config import FitConfig
 from nerf.losses import LossConfig
 from nerf.split import check_views
 from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, run_study
-from priors import cache
 from priors.errors import LARGEST_SEED, expect_between
 from priors.filters import Filters
 from priors.selection import parse_range
@@ -91,7 +90,7 @@ class StudyArguments(ThreadArguments, DriveArguments):
     def grid(self) -> Study:
         """Return the grid that was asked for."""
         folders = [
-            [NONE] if str(path) == NONE else [str(prior.folder) for prior in cache.find(path)] for path in self.priors
+            [NONE] if str(path) == NONE else [str(prior.folder) for prior in find_priors(path)] for path in self.priors
         ]
         masks = {"no": (False,), "yes": (True,), "both": (False, True)}[self.truth_mask]
         return Study(
@@ -106,6 +105,9 @@ class StudyArguments(ThreadArguments, DriveArguments):
             densities=self.density or (None,),
             seeds=self.seed,
         )
+
+
+ARGUMENTS = {"nerf study": StudyArguments}
 
 
 def run(arguments: list[str]) -> int:

@@ -8,6 +8,7 @@ import tyro
 from cli.arguments import parse
 from cli.console import out, progress
 from cli.nerf.arguments import RunArguments
+from cli.written import expect_file
 from nerf.video import VideoConfig, write_video
 
 EXAMPLES = """Render a video along the drive's path: colour over depth.
@@ -27,6 +28,9 @@ class VideoArguments(RunArguments):
     video: tyro.conf.OmitArgPrefixes[VideoConfig] = field(default_factory=VideoConfig)
 
 
+ARGUMENTS = {"nerf video": VideoArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Write the video; returns the exit code."""
     args = parse(VideoArguments, "nerf video", EXAMPLES, arguments)
@@ -35,9 +39,10 @@ def run(arguments: list[str]) -> int:
 
 
 def _write(args: VideoArguments) -> int:
-    this_run = args.open()
-    views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     path = args.out or args.run / "video.mp4"
+    this_run = args.open()
+    expect_file("--out", path)
+    views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     with progress("video", args.video.steps * (len(views.ids) - 1) + 1) as step:
         write_video(path, model.render, views.camera, views.T_world_cam, args.video, step)
     out.print(f"wrote {path}")

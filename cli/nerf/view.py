@@ -39,6 +39,9 @@ class ViewArguments(AddressArguments, RunArguments):
         expect_between(1, self.points, 10**8, "--points")
 
 
+ARGUMENTS = {"nerf view": ViewArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Serve the view until Ctrl-C; returns the exit code."""
     args = parse(ViewArguments, "nerf view", EXAMPLES, arguments)

@@ -66,7 +66,7 @@ class BuildArguments(ThreadArguments, DriveArguments):
 
 def run(arguments: list[str]) -> int:
     """Build; returns the exit code."""
-    args = parse(_with_methods(), "priors build", EXAMPLES, arguments)
+    args = parse(ARGUMENTS["priors build"], "priors build", EXAMPLES, arguments)
     with args.limited():
         return _build(args, arguments)
 
@@ -112,7 +112,7 @@ def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: 
     if args.method is None:
         has = " and ".join(filter(None, (", ".join(advice.has[:-1]), *advice.has[-1:]))) or "images alone"
         command = shlex.join(["priors", "build", *typed, "--method", advice.method])
-        raise UsageError(f"--method is missing: {drive.name} has {has}; {advice.method} suits it: {command}")
+        raise UsageError(f"--method is missing: {drive.name} has {has}; --method auto takes {advice.method}: {command}")
     err.print(f"method: {advice.method}: {advice.reason}")
     for flag in _idle_flags(advice.method, typed):
         err.print(f"{flag}: not used by {advice.method}")
@@ -121,14 +121,22 @@ def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: 
 
 def _idle_flags(method: str, typed: list[str]) -> list[str]:
     """Return the flags that were typed of other methods than this."""
-    others = tuple(f"--{name}." for name in methods.names() if name != method)
-    return [word.partition("=")[0] for word in typed if word.startswith(others)]
+    flags = dict.fromkeys(word.partition("=")[0] for word in typed if word.startswith("--"))
+    return [flag for flag in flags if _method_of(flag) not in (None, method)]
+
+
+def _method_of(flag: str) -> str | None:
+    """Return the method whose flag this is, as --stereo.model is stereo's; None for those of the command."""
+    name, dot, _ = flag.removeprefix("--").replace("-", "_").partition(".")
+    return name if dot and name in methods.names() else None
 
 
 def _refuse_idle_flags(method: str, typed: list[str]) -> None:
     """Raise UsageError where a flag of another method was typed: it would do nothing."""
     if idle := _idle_flags(method, typed):
-        raise UsageError(f"{idle[0]}: a flag of another method than --method {method}: leave it out")
+        others = " or ".join(dict.fromkeys(str(_method_of(flag)) for flag in idle))
+        what = "a flag" if len(idle) == 1 else "flags"
+        raise UsageError(f"{', '.join(idle)}: {what} of --method {others}, not of {method}: leave out one or the other")
 
 
 def _note(line: str) -> None:
@@ -146,7 +154,9 @@ def _with_methods() -> type[BuildArguments]:
 def _print_plan(job: Job, plan: Plan) -> None:
     out.print(f"{job.prior.folder}")
     for index in plan.todo:
-        out.print(f"  {job.drive.ids[index]}  compute")
+        id_ = job.drive.ids[index]
+        why = f": {plan.stale[id_]}" if id_ in plan.stale else f": {plan.damaged[id_]}" if id_ in plan.damaged else ""
+        out.print(f"  {id_}  compute{why}")
     for frame_id, reason in plan.skipped.items():
         out.print(f"  {frame_id}  skip: {reason}")
     for frame_id, error in plan.failed.items():
@@ -163,20 +173,28 @@ def _print_summary(report: BuildReport) -> None:
         table.add_column(heading, justify="right")
     cached = sum(reason == "cached" for reason in report.plan.skipped.values())
     counts = [len(report.built), cached, len(report.plan.skipped) - cached, len(report.failed)]
-    lines = list(report.prior.lines().values())
-    values = [line for line in lines if line["min_m"] is not None]
-    numbers = ["-"] * 5
-    if values:
-        seconds = np.median([line["seconds"] for line in lines])
-        density = np.mean([line["density"] for line in lines])
-        low, high = min(line["min_m"] for line in values), max(line["max_m"] for line in values)
-        middle = np.median([line["median_m"] for line in values])
-        numbers = [f"{seconds:.3f}", f"{density:.1%}", f"{low:.2f}", f"{middle:.2f}", f"{high:.2f}"]
-    table.add_row(*map(str, counts), *numbers)
+    columns = (("seconds", np.median, ".3f"), ("density", np.mean, ".1%"))
+    ranges = (("min_m", min, ".2f"), ("median_m", np.median, ".2f"), ("max_m", max, ".2f"))
+    figures = [(report.prior.figures(name), reduce, form) for name, reduce, form in (*columns, *ranges)]
+    table.add_row(
+        *map(str, counts), *(f"{reduce(values):{form}}" if values else "-" for values, reduce, form in figures)
+    )
     out.print(table)
+    _print_repaired(report)
     too_far = sum(line["too_far"] for line in report.built)
     if too_far:
         out.print(f"{too_far} values lie beyond 255.99 m, the most the format holds: left without a value")
+
+
+def _print_repaired(report: BuildReport) -> None:
+    """Tell which maps were made anew, and what another build has made."""
+    plan, built = report.plan, {line["id"] for line in report.built}
+    for what, reasons in (("stale: the data has changed", plan.stale), ("damaged", plan.damaged)):
+        anew = sorted(built & reasons.keys())
+        if anew:
+            out.print(f"{len(anew)} of the built were {what}, the first {anew[0]}: {reasons[anew[0]]}")
+    if report.left:
+        out.print(f"{len(report.left)} were left to another build, which has made them")
 
 
 def _complain_if_nothing(report: BuildReport) -> None:
@@ -184,3 +202,6 @@ def _complain_if_nothing(report: BuildReport) -> None:
     lacking = [reason for reason in report.plan.skipped.values() if reason != "cached" and "stood still" not in reason]
     if lacking and not report.built and not report.failed and len(lacking) == len(report.plan.skipped):
         raise DataError(f"no frame can be computed: {lacking[0]}")
+
+
+ARGUMENTS = {"priors build": _with_methods()}

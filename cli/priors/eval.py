@@ -10,6 +10,8 @@ import tyro
 
 from cli.arguments import by_drive, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
+from cli.mistakes import nearest
+from cli.written import expect_file
 from eval import table
 from eval.curves import Curves
 from eval.protocol import PRESETS, Protocol, preset
@@ -17,7 +19,7 @@ from eval.result import Result
 from priors import cache
 from priors.cache import Prior
 from priors.draw import figure, lines
-from priors.errors import DataError, UsageError, expect
+from priors.errors import DataError, expect
 from priors.naming import labels
 from priors.report.frames import frames_wipe
 from priors.report.page import SUFFIX
@@ -65,7 +67,7 @@ class ScoreArguments:
     against: Path | None = None
     """Score against this prior instead of the drive's truth."""
     metrics: tuple[str, ...] | None = None
-    """Columns of the table, e.g. abs_rel rmse d1; default: the protocol's usual ones."""
+    """Columns of the table, e.g. abs_rel rmse d1, or as tables print them; default: the protocol's usual ones."""
     long: bool = False
     """Name each prior with every setting that is not usual, not only with what differs between rows."""
     ranges: bool = False
@@ -76,14 +78,23 @@ class ScoreArguments:
     """Also write the table: .md, .tex, .csv, .txt, or .html, a report page; as many as wanted."""
 
     def __post_init__(self) -> None:
-        for path in self.save:
-            if path.suffix not in (*table.WRITERS, SUFFIX):
-                raise UsageError(f"--save {path}: expected a name that ends in {', '.join((*table.WRITERS, SUFFIX))}")
         if self.curves is not None:
             figure.check_name(self.curves)
         parse_range(self.frames)
-        for key in self.metrics or ():
-            expect(key in table.COLUMNS, "--metrics", key, f"some of {', '.join(table.COLUMNS)}")
+        for name in self.metrics or ():
+            _metric(name)
+
+    def expect_writable(self) -> None:
+        """Raise UsageError where a file that is asked for cannot be written."""
+        for path in self.save:
+            expect_file("--save", path, (*table.WRITERS, SUFFIX))
+        if self.curves is not None:
+            expect_file("--curves", self.curves)
+
+    @property
+    def keys(self) -> list[str] | None:
+        """The columns that were asked for, by their keys."""
+        return None if self.metrics is None else list(map(_metric, self.metrics))
 
     @property
     def page(self) -> bool:
@@ -99,12 +110,12 @@ class Output:
     command: str
     """As typed."""
     several: bool
-    """Whether there are several drives: each file's name then has the drive's in it."""
+    """Whether there are several drives: the names of their plots then have the drive's in them."""
 
     def show(self, scored: DriveScores) -> None:
-        """Print one drive's table and write its files."""
+        """Print one drive's table and write its plot."""
         out.print(scored.drive, style="bold")
-        table.show(scored.results, self.args.metrics, out)
+        table.show(scored.results, self.args.keys, out)
         if self.args.ranges:
             _print_ranges(scored.results)
         if self.args.curves is not None and scored.curves:
@@ -112,68 +123,93 @@ class Output:
             plots = [plot for name, drawn in scored.curves.items() for plot in sparsification(name, drawn)]
             lines.write(path, plots, max(map(len, scored.curves.values())))
             out.print(f"wrote {path}")
-        for wanted in self.args.save:
-            self._save(scored, self._place(wanted, scored.drive))
 
-    def _save(self, scored: DriveScores, path: Path) -> None:
-        if path.suffix == SUFFIX:
-            scores_page([scored], self.args.metrics, self.command, Sample().room).write(path)
-        else:
-            table.save(scored.results, path)
-        out.print(f"wrote {path}")
+    def save(self, drives: Sequence[DriveScores]) -> None:
+        """Write one file of each format that was asked for, with the tables of all drives."""
+        for path in self.args.save:
+            if path.suffix == SUFFIX:
+                scores_page(drives, self.args.keys, self.command, Sample().room).write(path)
+            else:
+                table.save([(scored.drive, scored.results) for scored in drives], path, self.args.keys)
+            out.print(f"wrote {path}")
 
     def _place(self, path: Path, drive: str) -> Path:
         """Return where a file of a drive goes."""
         return path.with_name(f"{path.stem}-{drive}{path.suffix}") if self.several and drive else path
 
 
+ARGUMENTS = {"priors eval": ScoreArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ScoreArguments, "priors eval", EXAMPLES, arguments)
-    files = [path for path in args.caches if path.suffix == ".json"]
-    priors = [prior for path in args.caches if path not in files for prior in _with_maps(path)]
-    drives = by_drive(priors)
-    output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + bool(files) > 1)
-    if files:
-        output.show(DriveScores([Result.load(path) for path in files]))
-    failed = [together for together in drives if not _try_drive(together, output)]
-    return DATA_ERROR if failed else 0
+    args.expect_writable()
+    loaded = _load([path for path in args.caches if path.suffix == ".json"])
+    refused: list[DataError] = []
+    drives = by_drive([prior for path in args.caches if path.suffix != ".json" for prior in _with_maps(path, refused)])
+    output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + len(loaded) > 1)
+    for results in loaded:
+        output.show(results)
+    scored = [_try_drive(together, output) for together in drives]
+    for error in refused:
+        err.complain(error, "left out")
+    shown = [*loaded, *(one for one in scored if one is not None)]
+    if shown:
+        output.save(shown)
+    return DATA_ERROR if refused or any(one is None or one.left_out for one in scored) else 0
 
 
-def _with_maps(path: Path) -> list[Prior]:
-    """Return the priors at path that have maps; those that have none yet are named and left out."""
-    priors = cache.find(path)
+def _load(files: Sequence[Path]) -> list[DriveScores]:
+    """Read results that were made before; those of one drive stand together."""
+    drives: dict[str, DriveScores] = {}
+    for path in files:
+        result = Result.load(path)
+        drives.setdefault(str(result.info.get("drive", "")), DriveScores([])).results.append(result)
+    return list(drives.values())
+
+
+def _with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
+    """Return the priors at path that have maps; those that have none yet are named, those that cannot be read kept."""
+    priors = cache.find(path, refused.append)
     for prior in priors:
         if not prior.ids():
             out.print(f"{prior.folder}: no maps yet: left out")
     return [prior for prior in priors if prior.ids()]
 
 
-def _try_drive(priors: list[Prior], output: Output) -> bool:
-    """Score and print one drive; where it cannot be scored and there are others, say why and go on."""
+def _try_drive(priors: list[Prior], output: Output) -> DriveScores | None:
+    """Score and print one drive; where it cannot be scored and there are others, say why and return None."""
     try:
         scored = _score_drive(priors, output.args)
         output.show(scored)
-        for what, why in scored.left_out.items():
-            err.complain(why, f"left out: {what}")
-        return not scored.left_out
     except DataError as error:
         if not output.several:
             raise
         err.complain(error, priors[0].folder.parent)
-        return False
-    return True
+        return None
+    for what, why in scored.left_out.items():
+        err.complain(why, f"left out: {what}")
+    return scored
 
 
 def _score_drive(priors: list[Prior], args: ScoreArguments) -> DriveScores:
-    """Score the priors of one drive."""
+    """Score the priors of one drive; one that cannot be scored is left out. DataError where none can."""
     drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
     scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive.name)
     for name in names:
-        one = score_prior(scored, name, drive, args)
+        try:
+            one = score_prior(scored, name, drive, args)
+        except DataError as error:
+            if len(names) == 1:
+                raise
+            scored.left_out[name] = str(error)
+            continue
         if one.pixels is not None:
             out.print(f"{name}: {_best_share(one)}")
             out.print(f"{name}: {_areas(scored.curves[name])}")
+    if not scored.results:
+        raise DataError(f"none of its {len(names)} priors can be scored, the first: {scored.left_out[names[0]]}")
     if args.page:
         wipe = frames_wipe(drive, scored.priors, scored.results, Sample(), args.frames)
         scored = replace(scored, wipe=wipe)
@@ -193,6 +229,15 @@ def score_prior(scored: DriveScores, name: str, drive: Drive, args: ScoreArgumen
     if one.pixels is not None:
         scored.curves[name] = one.curves()
     return one
+
+
+def _metric(name: str) -> str:
+    """Return the key of a column that is named by its key or as tables print it: abs_rel, abs-rel, AbsRel."""
+    printed = {column.label.casefold(): key for key, column in table.COLUMNS.items()}
+    key = printed.get(name.casefold(), name.casefold().replace("-", "_"))
+    wanted = f"some of {', '.join(table.COLUMNS)}{nearest(key, list(table.COLUMNS))}"
+    expect(key in table.COLUMNS, "--metrics", name, wanted)
+    return key
 
 
 def _protocol(args: ScoreArguments) -> Protocol:

@@ -13,6 +13,7 @@ from cli.arguments import parse
 from cli.console import DATA_ERROR, err, out
 from priors import cache
 from priors.cache import Prior
+from priors.errors import DataError
 from priors.naming import labels
 
 EXAMPLES = """List what a cache holds: every prior, its frames, density and size; names frames that are half written.
@@ -31,10 +32,14 @@ class ListArguments:
     """The cache, or a folder in it."""
 
 
+ARGUMENTS = {"priors list": ListArguments}
+
+
 def run(arguments: list[str]) -> int:
     """List; returns the exit code: 1 where a frame is half written."""
     args = parse(ListArguments, "priors list", EXAMPLES, arguments)
-    priors = cache.find(args.path)
+    refused: list[DataError] = []
+    priors = cache.find(args.path, refused.append)
     table = Table(box=SIMPLE_HEAD)
     for heading in ("drive", "prior", "folder"):
         table.add_column(heading, overflow="fold")
@@ -43,15 +48,17 @@ def run(arguments: list[str]) -> int:
     for prior, label in zip(priors, labels(priors), strict=True):
         table.add_row(str(prior.drive["name"]), label, prior.name, *_figures(prior))
     out.print(table)
-    broken = [(prior, id_) for prior in priors for id_ in prior.ids() if not prior.has(id_)]
-    for prior, id_ in broken:
-        err.print(f"{prior.depth_path(id_)}: half written: run the same `priors build` again")
-    return DATA_ERROR if broken else 0
+    for error in refused:
+        err.complain(error, "left out")
+    broken = [(prior, why) for prior in priors for id_ in prior.ids() if (why := prior.why_not_done(id_))]
+    for prior, why in broken:
+        err.print(f"{prior.folder}: {why}: run the same `priors build` again")
+    return DATA_ERROR if broken or refused else 0
 
 
 def _figures(prior: Prior) -> list[str]:
-    lines = [line for id_, line in prior.lines().items() if prior.depth_path(id_).exists()]
-    density = f"{np.mean([line['density'] for line in lines]):.1%}" if lines else "-"
-    seconds = f"{np.median([line['seconds'] for line in lines]):.3f}" if lines else "-"
+    ids = prior.ids()
+    densities, seconds = prior.figures("density", ids), prior.figures("seconds", ids)
     size = sum(path.stat().st_size for path in prior.folder.rglob("*.png"))
-    return [str(len(prior.ids())), density, seconds, f"{size / 2**20:.1f}"]
+    density = f"{np.mean(densities):.1%}" if densities else "-"
+    return [str(len(ids)), density, f"{np.median(seconds):.3f}" if seconds else "-", f"{size / 2**20:.1f}"]

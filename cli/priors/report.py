@@ -7,11 +7,11 @@ from typing import Annotated, Literal
 
 import tyro
 
-from cli.arguments import by_drive, parse, reopen_drive
+from cli.arguments import by_drive, find_priors, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out
 from cli.priors.eval import ScoreArguments, score_prior
+from cli.written import expect_file
 from eval.protocol import PRESETS
-from priors import cache
 from priors.cache import Prior
 from priors.errors import DataError, UsageError
 from priors.naming import labels
@@ -58,9 +58,13 @@ class ReportArguments:
         return ScoreArguments(self.caches, self.protocol, frames=self.frames, save=(self.out,))
 
 
+ARGUMENTS = {"priors report": ReportArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Write the page; returns the exit code."""
     args = parse(ReportArguments, "priors report", EXAMPLES, arguments)
+    expect_file("--out", args.out)
     scored = score_caches(args)
     page = scores_page(scored, None, shlex.join(["priors", "report", *arguments]), args.sample.room)
     write_page(page, args.out, scored, args.sample)
@@ -69,7 +73,7 @@ def run(arguments: list[str]) -> int:
 
 def score_caches(args: ReportArguments) -> list[DriveScores]:
     """Score and picture the priors of each drive; a drive that cannot be opened is named and left out."""
-    priors = [prior for path in args.caches for prior in cache.find(path)]
+    priors = [prior for path in args.caches for prior in find_priors(path)]
     drives = by_drive(priors)
     scored = []
     for together in drives:

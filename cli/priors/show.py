@@ -6,9 +6,10 @@ from typing import Annotated
 
 import tyro
 
-from cli.arguments import by_drive, parse, reopen_drive
-from cli.console import out, progress
-from priors import cache, codecs
+from cli.arguments import by_drive, find_priors, parse, reopen_drive
+from cli.console import DATA_ERROR, err, out, progress
+from cli.written import expect_folder
+from priors import codecs
 from priors.cache import Prior
 from priors.draw.comparison import compare
 from priors.errors import DataError, expect_between
@@ -48,29 +49,39 @@ class ShowArguments:
         expect_between(16, self.width, 16384, "--width")
 
 
+ARGUMENTS = {"priors show": ShowArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Write the pictures; returns the exit code."""
     args = parse(ShowArguments, "priors show", EXAMPLES, arguments)
-    priors = [prior for path in args.caches for prior in cache.find(path)]
-    for together in by_drive(priors):
-        _show_drive(together, args)
-    return 0
+    expect_folder("--out", args.out)
+    priors = [prior for path in args.caches for prior in find_priors(path)]
+    whole = [_show_drive(together, args) for together in by_drive(priors)]
+    return 0 if all(whole) else DATA_ERROR
 
 
-def _show_drive(priors: list[Prior], args: ShowArguments) -> None:
+def _show_drive(priors: list[Prior], args: ShowArguments) -> bool:
+    """Write a drive's pictures; returns whether all maps could be read: those that cannot are named and left out."""
     drive = reopen_drive(priors, args.truth, args.data)
     cached = {id_ for prior in priors for id_ in prior.ids()}
     indices = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
     if not indices:
         raise DataError(f"{priors[0].folder.parent}: no maps of these frames: build them first")
     names = labels(priors)
-    folder = args.out / drive.name
+    folder, unread = args.out / drive.name, {}
     with progress("show", len(indices)) as step:
         for index in indices:
-            frame = drive[index]
-            rows = [
-                (name, prior.read(frame.id)) for name, prior in zip(names, priors, strict=True) if prior.has(frame.id)
-            ]
+            frame, rows = drive[index], []
+            for name, prior in zip(names, priors, strict=True):
+                try:
+                    if prior.depth_path(frame.id).exists():
+                        rows.append((name, prior.read(frame.id)))
+                except DataError as error:
+                    unread[f"{name}, frame {frame.id}"] = error
             codecs.write_image(folder / f"{frame.id}.jpg", compare(frame, rows, args.width))
             step()
     out.print(f"wrote {len(indices)} pictures to {folder}")
+    for what, why in unread.items():
+        err.complain(why, f"left out: {what}")
+    return not unread

@@ -45,6 +45,9 @@ class StreetArguments:
         _size(self.size)
 
 
+ARGUMENTS = {"priors street": StreetArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Write the street; returns the exit code."""
     args = parse(StreetArguments, "priors street", EXAMPLES, arguments)

@@ -9,7 +9,8 @@ import tyro
 
 from cli.arguments import Device, parse
 from cli.console import err, out, progress, train_progress
-from priors.errors import DataError, expect_between
+from cli.mistakes import nearest
+from priors.errors import UsageError, expect_between
 from priors.learn.config import TrainConfig
 from priors.machine.device import pick_device
 from priors.selection import parse_shard
@@ -115,7 +116,7 @@ def run(arguments: list[str]) -> int:
         return 0
     name, rest = arguments[0], arguments[1:]
     if name not in KINDS:
-        raise DataError(f"priors train {name}: expected one of {', '.join(KINDS)}")
+        raise UsageError(f"priors train {name}: expected one of {', '.join(KINDS)}{nearest(name, list(KINDS))}")
     kind, command = KINDS[name]
     command(parse(kind, f"priors train {name}", EXAMPLES, rest))
     return 0
@@ -208,3 +209,4 @@ KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
     "calibrate": (CalibrateArguments, calibrate),
 }
 """What follows `priors train`: its arguments and what it does."""
+ARGUMENTS = {f"priors train {name}": kind for name, (kind, _) in KINDS.items()}

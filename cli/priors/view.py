@@ -6,10 +6,9 @@ from typing import Annotated
 
 import tyro
 
-from cli.arguments import DatasetName, DriveArguments, by_drive, parse, reopen_drive
+from cli.arguments import DatasetName, DriveArguments, by_drive, find_priors, parse, reopen_drive
 from cli.view import AddressArguments
-from priors import cache
-from priors.cache import Prior
+from priors.cache import Prior, holds_priors
 from priors.drives import DriveOptions
 from priors.errors import DataError, UsageError, expect_between
 from priors.naming import labels
@@ -54,8 +53,8 @@ class ViewArguments(AddressArguments):
 
     def scene(self, typed: list[str]) -> DriveScene:
         """Open what there is to see; `typed`, the command, is repeated where there are several drives."""
-        place = CACHE if self.what is None and _is_cache(CACHE) else self.what
-        priors = [] if place is None or not _is_cache(place) else self._priors(place)
+        place = CACHE if self.what is None and holds_priors(CACHE) else self.what
+        priors = [] if place is None or not holds_priors(place) else self._priors(place)
         if priors:
             drive = reopen_drive(priors, self.part.truth, self.data)
         else:
@@ -66,7 +65,7 @@ class ViewArguments(AddressArguments):
     def _priors(self, place: Path) -> list[Prior]:
         """Return the priors of the one drive that is looked at; UsageError where there are several drives."""
         wanted = self.part.drive
-        found = [prior for prior in cache.find(place) if wanted in (None, prior.drive["name"])]
+        found = [prior for prior in find_priors(place) if wanted in (None, prior.drive["name"])]
         if not found:
             raise DataError(f"{place}: no priors of {wanted}: `priors list {place}` tells what there is")
         several = by_drive(found)
@@ -76,14 +75,12 @@ class ViewArguments(AddressArguments):
         return several[0]
 
 
+ARGUMENTS = {"priors view": ViewArguments}
+
+
 def run(arguments: list[str]) -> int:
     """Serve the view until Ctrl-C; returns the exit code."""
     args = parse(ViewArguments, "priors view", EXAMPLES, arguments)
     server.require()
     scene = args.scene(["priors", "view", *arguments])
     return args.serve(f"priors view {scene.drive.name}", lambda opened: DrivePanel(opened, scene))
-
-
-def _is_cache(path: Path) -> bool:
-    """Tell whether a folder holds priors: it, its folders or theirs have a manifest."""
-    return any(next(path.glob(pattern), None) for pattern in ("manifest.json", "*/manifest.json", "*/*/manifest.json"))

@@ -91,9 +91,9 @@ def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
         DataError: the description is damaged, or the drive is not there.
     """
     try:
-        path, dataset = Path(description["path"]), str(description["dataset"])
+        path, dataset = moved_to or Path(description["path"]), str(description.get("dataset", "auto"))
     except (KeyError, TypeError) as error:
-        raise DataError(f"the manifest's drive lacks 'path' or 'dataset': {description!r:.80}") from error
+        raise DataError(f"the manifest does not say where its drive is ({description!r:.80}): --data FOLDER") from error
     truth = None if description.get("truth") is None else Path(description["truth"])
     if moved_to is None and not path.is_dir():
         raise DataError(f"{path}: no such folder: has the drive moved? Name it: --data FOLDER")
@@ -101,7 +101,7 @@ def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
         truth = None  # it moved too, or lies beside the drive as usual
     poses: Literal["recorded", "auto"] = "recorded" if poses_of(description) == "recorded" else "auto"
     options = DriveOptions(camera=description.get("camera"), truth=truth, poses=poses)
-    return open_drive(moved_to or path, dataset, options)
+    return open_drive(path, dataset, options)
 
 
 def reader(name: str) -> ModuleType:
@@ -118,9 +118,14 @@ def reader(name: str) -> ModuleType:
     return reader
 
 
+def fitting_data_sets(path: Path) -> list[str]:
+    """List the data sets that know the folder's layout."""
+    return [name for name in names() if reader(name).recognises(path)]
+
+
 def _recognise(path: Path) -> str:
     """Return the one data set that knows the folder's layout."""
-    fitting = [name for name in names() if reader(name).recognises(path)]
+    fitting = fitting_data_sets(path)
     if len(fitting) > 1:
         raise DataError(f"{path}: looks like {' and '.join(fitting)}: choose with --dataset {fitting[0]}")
     if not fitting:

@@ -13,6 +13,7 @@ from priors.errors import DataError
 from priors.types import Camera, Depth, Frame, Matrix, Rig
 
 Readers = dict[str, Callable[..., Any]]
+Files = dict[str, Callable[..., Path | None]]
 
 
 class CameraDrive(ABC):
@@ -107,6 +108,7 @@ class CameraDrive(ABC):
             baseline_m=self.baseline_m,
             side=self.side,
             rig=self.rig,
+            files=self.files(id_),
         )
 
     @abstractmethod
@@ -122,6 +124,11 @@ class CameraDrive(ABC):
             if id_ in paths:
                 readers[what] = partial(self.read_map, paths[id_])
         return readers
+
+    def files(self, id_: str) -> Files:
+        """Return which file each reader of a frame reads (see Frame.files); also of what is not there."""
+        files: Files = {"image": partial(self.images.get, id_), "other": partial(self.others.get, id_)}
+        return files | {what: partial(paths.get, id_) for what, paths in self.maps.items()}
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say of what a frame lacks why it is not there and what to do, one line each."""

@@ -30,7 +30,7 @@ from scipy.spatial.transform import Rotation
 from priors import codecs
 from priors.drives import CameraDrive, DriveOptions
 from priors.drives._argoverse1_calibration import LogCalibration, RectifiedCamera, to_pose
-from priors.drives._camera_drive import Readers
+from priors.drives._camera_drive import Files, Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     check_size,
@@ -126,6 +126,17 @@ class Argoverse1(CameraDrive):
             readers["truth"] = partial(self.read_map, self._disparities[time])
         return readers
 
+    def files(self, id_: str) -> Files:
+        """Return which file each reader reads."""
+        time = int(id_)
+        other = nearest(self._partner_times, time, NEAR_OTHER_NS)
+        return {
+            "image": partial(self.images.get, id_),
+            "other": lambda: None if other is None else self._partner_images[other],
+            "sweep": lambda offset=0: self._sweep_file(time, offset),
+            "truth": partial(self._disparities.get, time),
+        }
+
     def read_map(self, path: Path) -> Depth:
         """Read a disparity map as depth."""
         disparity_px = check_size(codecs.read_depth_png(path), path, self.camera)
@@ -206,16 +217,24 @@ class Argoverse1(CameraDrive):
         T_a_time[:3, 3] = share * T_a_b[:3, 3]
         return T_world_a @ T_a_time
 
-    def _read_sweep(self, time: int, offset: int) -> Sweep | None:
+    def _sweep_time(self, time: int, offset: int) -> int | None:
+        """Return the time of the sweep that lies `offset` sweeps from the one nearest to an image; None without one."""
         first = nearest(self._sweep_times, time, NEAR_SWEEP_NS)
         if first is None:
             return None
         index = bisect_left(self._sweep_times, first) + offset
-        if not 0 <= index < len(self._sweep_times):
+        return self._sweep_times[index] if 0 <= index < len(self._sweep_times) else None
+
+    def _sweep_file(self, time: int, offset: int) -> Path | None:
+        sweep = self._sweep_time(time, offset)
+        return None if sweep is None else self._sweeps[sweep]
+
+    def _read_sweep(self, time: int, offset: int) -> Sweep | None:
+        sweep = self._sweep_time(time, offset)
+        if sweep is None:
             return None
-        sweep = self._sweep_times[index]
         placed = Sweep(read_ply(self._sweeps[sweep]), self._T_world_ego(sweep))
-        return self._path.without_far_side(placed, str(first), str(sweep))
+        return self._path.without_far_side(placed, str(self._sweep_time(time, 0)), str(sweep))
 
     @cached_property
     def _path(self) -> Trajectory:

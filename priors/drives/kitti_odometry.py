@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from priors.drives import CameraDrive, DriveOptions, _kitti_maps
-from priors.drives._camera_drive import Readers
+from priors.drives._camera_drive import Files, Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     choose,
@@ -132,6 +132,10 @@ class KittiOdometry(CameraDrive):
             readers["sweep"] = lambda offset=0: self._sweep_beside(int(id_), offset)
         return readers
 
+    def files(self, id_: str) -> Files:
+        """Return which file each reader reads: also sweeps."""
+        return super().files(id_) | {"sweep": lambda offset=0: self._sweep_file(int(id_) + offset)}
+
     def T_world_cam(self, id_: str) -> Matrix | None:
         """Return the pose of this camera, which stands beside camera 0."""
         T_world_cam0 = self._T_world_cam0(id_)
@@ -241,6 +245,9 @@ class KittiOdometry(CameraDrive):
         except ValueError as error:
             raise DataError(f"{path}: expected one number a line ({error}): download it again") from error
 
+    def _sweep_file(self, number: int) -> Path | None:
+        return self._sweeps.get(self._by_number.get(number, ""))
+
     @cached_property
     def _path(self) -> Trajectory:
         """The trajectory of camera 0, by frame number; lines that are no poses are left out."""
@@ -259,12 +266,12 @@ class KittiOdometry(CameraDrive):
         return self._path.without_far_side(self._read_sweep(number + offset), str(number), str(number + offset))
 
     def _read_sweep(self, number: int) -> Sweep | None:
-        id_ = self._by_number.get(number, "")
-        if id_ not in self._sweeps or self._T_cam0_velo is None:
+        path = self._sweep_file(number)
+        if path is None or self._T_cam0_velo is None:
             return None
-        T_world_cam0 = self._T_world_cam0(id_)
+        T_world_cam0 = self._T_world_cam0(self._by_number[number])
         T_world_lidar = None if T_world_cam0 is None else T_world_cam0 @ self._T_cam0_velo
-        return Sweep(read_sweep_file(self._sweeps[id_]), T_world_lidar)
+        return Sweep(read_sweep_file(path), T_world_lidar)
 
     def _find_maps(self) -> dict[str, dict[str, Path]]:
         """Find the raw drive's depth maps: truth and sparse, by this sequence's frame ids."""

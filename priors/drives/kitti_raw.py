@@ -26,7 +26,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from priors.drives import CameraDrive, DriveOptions, _kitti_maps
-from priors.drives._camera_drive import Readers
+from priors.drives._camera_drive import Files, Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     choose,
@@ -149,6 +149,14 @@ class KittiRaw(CameraDrive):
             readers["sky"] = lambda: read_sized(self._skies[id_], self.camera) > 127
         return readers
 
+    def files(self, id_: str) -> Files:
+        """Return which file each reader reads: also sweeps, and the street's sky masks."""
+        files: Files = {
+            "sweep": lambda offset=0: self._sweep_file(int(id_) + offset),
+            "sky": lambda: self._skies.get(id_),
+        }
+        return super().files(id_) | files
+
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
         sweep = f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data"
@@ -236,15 +244,18 @@ class KittiRaw(CameraDrive):
         T_velo_imu, T_world_imu = self.calibration.T_velo_imu, self._track.T_world_imu(id_)
         return None if T_velo_imu is None or T_world_imu is None else T_world_imu @ invert(T_velo_imu)
 
+    def _sweep_file(self, number: int) -> Path | None:
+        return self._sweeps.get(self._by_number.get(number, ""))
+
     def _sweep_beside(self, number: int, offset: int) -> Sweep | None:
         """Read the sweep `offset` frames from a frame."""
         return self._track.path.without_far_side(self._read_sweep(number + offset), str(number), str(number + offset))
 
     def _load_sweep(self, number: int) -> Sweep | None:
-        id_ = self._by_number.get(number, "")
-        if id_ not in self._sweeps:
+        path = self._sweep_file(number)
+        if path is None:
             return None
-        xyz_m = read_sweep_file(self._sweeps[id_])
+        xyz_m = read_sweep_file(path)
         velocity = self._velocity(number)
         time_s = None
         if velocity is not None:
@@ -252,7 +263,7 @@ class KittiRaw(CameraDrive):
             time_s = (SECONDS_PER_RADIAN * azimuth).astype(np.float32)
             time_s.flags.writeable = False
         xyz_m.flags.writeable = False  # sweeps are shared
-        return Sweep(xyz_m, self._T_world_velo(id_), time_s, velocity)
+        return Sweep(xyz_m, self._T_world_velo(self._by_number[number]), time_s, velocity)
 
     def _velocity(self, number: int) -> Matrix | None:
         """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame.

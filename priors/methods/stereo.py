@@ -83,8 +83,11 @@ class Stereo(Method):
     def resolve(self, frame: Frame) -> Self:
         """Return the config with the runtime chosen, and the rectification error measured on this frame if not given.
 
-        Where it cannot be measured it is the rig's usual one.
+        Where it cannot be measured it is the rig's usual one. UsageError where the image is too narrow for the search.
         """
+        width, most_px = frame.camera.size[1], self.max_disparity_px
+        fits = most_px is None or most_px < width
+        expect(fits, "--stereo.max-disparity-px", most_px, f"less than the image's width, {width} pixels")
         network = self.network
         if network is None:
             resolved = replace(self, size=type(self).size, runtime=type(self).runtime)  # they decide nothing

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
-from priors.errors import expect
-from priors.selection import pick_middles
+from priors.errors import expect, expect_between
+from priors.selection import LARGEST_FRAME_NUMBER, pick_middles
 
 Item = TypeVar("Item")
 
@@ -24,8 +24,8 @@ class Sample:
     """Size that the page may have: where the pictures take more, frames are left out, which is told."""
 
     def __post_init__(self) -> None:
-        expect(self.every >= 1, "--every", self.every, "1 or more")
-        expect(self.most >= 1, "--most", self.most, "1 or more")
+        expect_between(1, self.every, LARGEST_FRAME_NUMBER, "--every")
+        expect_between(1, self.most, 10_000, "--most")
         expect(64 <= self.picture_width <= 4096, "--picture-width", self.picture_width, "64 to 4096 pixels")
         expect(0 < self.megabytes <= 500, "--megabytes", self.megabytes, "more than 0, 500 at most")
 

@@ -159,4 +159,6 @@ def _text(value: object) -> str:
         return ", ".join(f"{name} {_text(inner)}" for name, inner in value.items()) or "-"
     if isinstance(value, list | tuple):
         return " ".join(map(_text, value))
+    if isinstance(value, bool):
+        return "yes" if value else "no"
     return f"{value:.6g}" if isinstance(value, float) else str(value)

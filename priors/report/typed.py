@@ -21,14 +21,14 @@ FILTERS = {
 
 
 def build_command(prior: Prior) -> str:
-    """Return the `priors build` that makes a prior anew; what was 'auto' is left to be decided again."""
+    """Return the `priors build` that makes a prior anew: what was decided for 'auto' is named."""
     words = ["priors", "build", str(prior.drive.get("path", "DATA")), *_drive_flags(prior.drive)]
     words += ["--method", prior.method]
     if prior.method in methods.names():
         kind = methods.config_type(prior.method)
         usual = record(kind())
         own = upgrade(kind, prior.manifest.get("config", {}))
-        changed = {name: value for name, value in own.items() if usual.get(name) not in (value, "auto")}
+        changed = {name: value for name, value in own.items() if usual.get(name) != value}
         words += flags(changed, f"{prior.method}.")
     for name, step in prior.manifest.get("filters", {}).items():
         if name == "TruthMask":

@@ -1,0 +1,140 @@
+"""`nerf bench`: quality against time."""
+
+import shlex
+from dataclasses import dataclass
+from dataclasses import field as made_by
+from pathlib import Path
+from typing import Literal
+
+import tyro
+
+from cli.arguments import Device, DriveArguments, ThreadArguments, parse
+from cli.console import DATA_ERROR, err, fit_progress, out, progress
+from cli.nerf.eval import LpipsArguments
+from cli.nerf.fit import FieldName, seconds
+from eval import typeset
+from nerf.bench import results
+from nerf.bench.curve import Curve, Entrant
+from nerf.bench.marks import Mark, ascending
+from nerf.bench.race import Race
+from nerf.config import MOST_STEPS, FitConfig
+from nerf.fields import is_trained
+from nerf.split import HELD_OUT, check_views
+from nerf.study import NONE, FitRunner, Study
+from priors import cache
+from priors.errors import LARGEST_SEED, expect_between
+from priors.selection import parse_range
+
+EXAMPLES = """Fit fields side by side and score each as it trains: PSNR, SSIM, LPIPS and AbsRel against wall time.
+Compiling and scoring stop the clock. Fits take turns from mark to mark. What is done is not made again.
+
+examples:
+  nerf bench street/ --priors none cache/ --views sparse
+  nerf bench street/ --priors cache/DRIVE/stereo-KEY --field ngp mip360 --at 10s 30s 60s 300s --seed 0 1 2
+  nerf bench street/ --priors cache/ --field mip360 --budgets            a fit of its own for each time
+  nerf bench street/ --priors cache/ --ceiling                           what the held-out views could score at best
+"""
+
+
+@dataclass(frozen=True)
+class BenchArguments(ThreadArguments, DriveArguments):
+    """Arguments of `nerf bench`."""
+
+    priors: tuple[Path, ...] = (Path(NONE),)
+    """Priors' folders, folders that hold several, and none: colours alone."""
+    loss: tuple[Literal["mse", "l1", "kl", "urf"], ...] = ("l1",)
+    """Depth losses."""
+    views: tuple[str, ...] = ("sparse",)
+    """Training views: dense, sparse or numbers."""
+    field: tuple[FieldName, ...] = ("ngp", "mip360", "nerfpp", "warp")
+    """Families of fields; the warp, which is not trained, takes part where there is a prior."""
+    seed: tuple[int, ...] = (0,)
+    """Every fit is made once a seed; the table has the means and their spread."""
+    at: tuple[str, ...] = ("10s", "30s", "60s")
+    """Times of training after which a fit is scored: 10s, 5m. Its learning rate falls until the last."""
+    steps: tuple[int, ...] = ()
+    """Numbers of steps after which it is scored instead."""
+    budgets: bool = False
+    """Make a fit of its own for each of them, whose learning rate falls until just then."""
+    ceiling: bool = False
+    """Also fit the held-out views themselves, with the first seed: what a field could show of them at best."""
+    rays: int = 1024
+    """Rays in a step."""
+    frames: str | None = None
+    """Range of frames, a:b."""
+    device: Device = "auto"
+    """Where to train and render; auto: a GPU where there is one."""
+    out: Path = Path("bench")
+    """The bench's folder."""
+    lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = made_by(default_factory=LpipsArguments)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.marks(), self.fit()
+        parse_range(self.frames)
+        for views in self.views:
+            check_views(views)
+        for seed in self.seed:
+            expect_between(0, seed, LARGEST_SEED, "--seed")
+
+    def fit(self) -> FitConfig:
+        """Return what all fits have in common."""
+        return FitConfig(rays=self.rays)
+
+    def marks(self) -> tuple[Mark, ...]:
+        """Return where each fit is scored."""
+        for steps in self.steps:
+            expect_between(1, steps, MOST_STEPS, "--steps")
+        return ascending(
+            [Mark(each, "steps") for each in self.steps] or [Mark(seconds(each, "--at")) for each in self.at]
+        )
+
+    def entrants(self) -> list[Entrant]:
+        """List the fits that were asked for."""
+        folders = [
+            [NONE] if str(path) == NONE else [str(prior.folder) for prior in cache.find(path)] for path in self.priors
+        ]
+        priors = tuple(name for several in folders for name in several)
+        grid = Study(priors, self.loss, self.views, self.field, seeds=self.seed)
+        specs = grid.runs()
+        if self.ceiling:
+            trained = tuple(name for name in self.field if is_trained(name))
+            specs += Study(priors, self.loss, (HELD_OUT,), trained, seeds=self.seed[:1]).runs()
+        marks = self.marks()
+        each = [(mark,) for mark in marks] if self.budgets else [marks]
+        return list(dict.fromkeys(Entrant.of(spec, self.fit(), own) for spec in specs for own in each))
+
+
+ARGUMENTS = {"nerf bench": BenchArguments}
+
+
+def run(arguments: list[str]) -> int:
+    """Make the bench; returns the exit code: 1 where a fit failed."""
+    args = parse(BenchArguments, "nerf bench", EXAMPLES, arguments)
+    with args.limited():
+        return _bench(args, shlex.join(["nerf", "bench", *arguments]))
+
+
+def _bench(args: BenchArguments, command: str) -> int:
+    drive, entrants = args.open(["nerf", "bench"]), args.entrants()
+    runner = FitRunner(drive, args.fit(), args.frames, args.device, args.lpips.open(), progress, fit_progress)
+    race = Race(runner, args.out, entrants)
+    err.print(str(race.warm_up()))
+    curves = race.run(_tell)
+    laid = results.lay_out(curves, drive.name)
+    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
+    for path in results.save(curves, args.out, laid, command):
+        out.print(f"wrote {path}")
+    return DATA_ERROR if any(curve.error for curve in curves) else 0
+
+
+def _tell(curve: Curve) -> None:
+    """Say what a fit scored at a mark."""
+    if curve.error:
+        err.complain(curve.error, curve.entrant.name)
+        return
+    point = curve.points[-1]
+    figures = point.metrics
+    err.print(
+        f"{curve.entrant.name}: {figures['psnr']:.2f} dB, AbsRel {figures['abs_rel']:.4f} after {point.seconds:.1f} s"
+    )

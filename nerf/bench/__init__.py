@@ -1,0 +1,1 @@
+"""Bench: quality against time, fits side by side on one machine."""

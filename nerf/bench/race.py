@@ -1,0 +1,163 @@
+"""Race: the fits of a bench, advanced in turns from mark to mark, so that a machine's moods fall on all alike.
+
+Every kernel is compiled before the clock starts. A curve that was made with the same settings is not made again; a fit
+that was killed between two marks is begun anew, for what it had spent is not known.
+"""
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from eval.protocol import ScoreError
+from nerf import checkpoint
+from nerf.bench.curve import Curve, Entrant, Point, load
+from nerf.bench.lap import Lap, go
+from nerf.bench.marks import READY, Mark
+from nerf.run import Run, forget
+from nerf.study import FitRunner
+from priors.errors import DataError
+
+WARM = ".warm"
+WARM_STEPS = 3
+"""Steps of a fit that nobody scores: they compile its kernels."""
+START = Point(READY, 0, 0.0, 0.0, 0.0)
+"""Nothing is spent."""
+SCORED_S = 0.3
+"""Seconds to score a rendered view and to write its pictures, about."""
+
+
+@dataclass(frozen=True)
+class Forecast:
+    """What is left to do."""
+
+    fits: int
+    """Of a bench, in all."""
+    left: int
+    """Those that are not done."""
+    training_s: float
+    scoring_s: float
+
+    def __str__(self) -> str:
+        if not self.left:
+            return f"all {self.fits} fits are done"
+        left = f"{self.left} of {self.fits} fits" if self.left < self.fits else f"{self.fits} fits"
+        return f"{left}: {self.training_s / 60:.1f} min of training, about {self.scoring_s / 60:.1f} min of scoring"
+
+
+@dataclass
+class Race:
+    """The entrants of a bench, and how far each has come."""
+
+    runner: FitRunner
+    """Begins the fits; its own settings are each entrant's."""
+    folder: Path
+    """The bench's folder: a folder a fit in it."""
+    entrants: Sequence[Entrant]
+    curves: list[Curve] = field(init=False)
+    _runs: dict[str, Run] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        self.curves = [load(self.folder / each.name, each, self._config(each)) for each in self.entrants]
+
+    def warm_up(self) -> Forecast:
+        """Compile what the fits need, a few steps and a view of each kind, and say what is left to do."""
+        training_s = scoring_s = 0.0
+        costs: dict[tuple[object, ...], tuple[float, float]] = {}
+        for curve in self.curves:
+            spec = curve.entrant.spec
+            kind = (spec.field, spec.loss, spec.prior == "none", curve.entrant.variant)
+            if curve.is_done:
+                continue
+            try:
+                step_s, render_s = costs[kind] = costs.get(kind) or self._cost(curve.entrant)
+                views = len(self._run(curve.entrant).scene.test)
+            except DataError as error:
+                curve.error = str(error)
+                continue
+            before = curve.points[-1].mark.amount if curve.points else 0
+            last = curve.entrant.marks[-1]
+            training_s += (last.amount - before) * (1 if last.unit == "s" else step_s)
+            scoring_s += (len(curve.entrant.marks) - len(curve.points)) * views * (render_s + SCORED_S)
+        left = sum(not curve.is_done for curve in self.curves)
+        return Forecast(len(self.curves), left, training_s, scoring_s)
+
+    def run(self, on_point: Callable[[Curve], None] = lambda curve: None) -> list[Curve]:
+        """Take all fits to all their marks; a fit that fails is told in its curve, and the others go on."""
+        turns = max((len(each.marks) for each in self.entrants), default=0)
+        for turn in range(turns):
+            for curve in sorted(self.curves, key=lambda curve: curve.entrant.spec.seed):
+                while not curve.is_done and len(curve.points) <= turn:
+                    try:
+                        self._advance(curve)
+                    except (DataError, ScoreError) as error:
+                        curve.error = str(error)
+                    on_point(curve)
+        return self.curves
+
+    def _advance(self, curve: Curve) -> None:
+        """Take a fit to its next mark, and score it there."""
+        entrant, run = curve.entrant, self._run(curve.entrant)
+        before = curve.points[-1] if curve.points else START
+        if checkpoint.spent(run.folder).step != before.step:
+            forget(run.folder)  # it was killed on its way, or its curve is gone
+            curve.points.clear()
+            before = START
+        point = self._lap(run, entrant.marks[len(curve.points)], before)
+        config = self._config(entrant)
+        report = run.report(self.runner.device, self.runner.lpips, {"name": entrant.name, "config": config})
+        curve.points.append(replace(point, metrics=report.metrics()))
+        curve.save(run.folder, config)
+
+    def _lap(self, run: Run, mark: Mark, before: Point) -> Point:
+        """Train to a mark; returns what is spent by then."""
+        _ = run.scene  # reading the drive's files is none of a fit's work
+        if mark == READY:
+            began_s, processor_s = time.perf_counter(), time.process_time()
+            run.fit(self.runner.device)
+            return Point(mark, 0, time.perf_counter() - began_s, 0.0, time.process_time() - processor_s)
+        with self.runner.watch(f"{run.name} to {mark}") as watch:
+            lap = Lap(mark, before.step == 0, watch)
+            go(run, self.runner.device, lap)
+        if lap.status is None:
+            raise DataError(f"{run.folder}: the fit ended before {mark}: delete the folder and begin anew")
+        prepared_s, processor_s = before.prepared_s + lap.prepared_s, before.processor_s + lap.processor_s
+        return Point(mark, lap.status.step, prepared_s, lap.status.elapsed_s, processor_s)
+
+    def _run(self, entrant: Entrant) -> Run:
+        """Begin an entrant's run, or return it: its scene is opened once."""
+        if entrant.name not in self._runs:
+            runner = replace(self.runner, fit=entrant.config)
+            self._runs[entrant.name] = runner.begin(entrant.spec, self.folder / entrant.name)
+        return self._runs[entrant.name]
+
+    def _cost(self, entrant: Entrant) -> tuple[float, float]:
+        """Fit an entrant for a few steps and render a view; returns seconds of a step and of a view."""
+        folder = self.folder / WARM
+        shutil.rmtree(folder, ignore_errors=True)
+        fit = replace(entrant.fit, steps=WARM_STEPS, seconds=None)
+        run = replace(self.runner, fit=fit).begin(entrant.spec, folder)
+        times_s = [0.0]
+        model = run.fit(self.runner.device, lambda status: times_s.append(status.step_s))
+        scene = run.scene
+        if not scene.test:
+            raise DataError(f"{scene.name}: none of the {len(scene.ids)} frames is held out: take 10 frames or more")
+        views = run.viewpoints()
+        for _ in range(2):  # the first one compiles
+            began_s = time.perf_counter()
+            model.render(views.T_world_cam[scene.test[0]], views.camera)
+            render_s = time.perf_counter() - began_s
+        shutil.rmtree(folder, ignore_errors=True)
+        return times_s[-1], render_s
+
+    def _config(self, entrant: Entrant) -> dict[str, Any]:
+        """Return everything that decides a curve, as JSON holds it."""
+        spec = asdict(entrant.spec) | {"prior": entrant.spec.prior_name}  # a cache may move: the name holds its key
+        lpips = None if self.runner.lpips is None else self.runner.lpips.net
+        settings = replace(self.runner, fit=entrant.config).settings | {"lpips": lpips}
+        marks = [asdict(mark) for mark in entrant.marks]
+        config = {"spec": spec, "fit": asdict(entrant.config), "marks": marks, "variant": entrant.variant, **settings}
+        return json.loads(json.dumps(config, allow_nan=False))

@@ -1,0 +1,116 @@
+"""A job: a prior that can be built. `plan` says what a build will do, `run` does it."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+from priors import cache
+from priors.build.plan import Judge, Plan, make_plan
+from priors.build.work import Work
+from priors.cache import Prior
+from priors.cache.places import follow
+from priors.errors import DataError, expect
+from priors.filters import Filters
+from priors.machine import threads
+from priors.selection import Selection
+from priors.types import Drive, Method
+
+ALL = Selection()
+
+
+@dataclass(frozen=True)
+class BuildReport:
+    """What a build did."""
+
+    prior: Prior
+    plan: Plan
+    """What it was to do, with the reasons: frames that are cached, stale or damaged."""
+    built: list[dict[str, Any]] = field(default_factory=list)
+    """The new lines of frames.jsonl, in the order of their ids."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Frame id -> one-line error."""
+    left: list[str] = field(default_factory=list)
+    """Ids of the frames of the plan that another build has made meanwhile."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """A prior that can be built: every 'auto' is decided and its folder is known; nothing is computed yet."""
+
+    drive: Drive
+    method: Method
+    filters: Filters
+    prior: Prior
+    distrust: bool = False
+    """Whether maps count only after they were read: the folder's manifest was damaged or missing."""
+
+    @cached_property
+    def judge(self) -> Judge:
+        """Tells of a frame whether it must be computed."""
+        return Judge(self.prior, (*self.method.reads, *self.filters.reads), self.distrust)
+
+    def plan(self, selection: Selection = ALL) -> Plan:
+        """Choose the frames to compute; frames that are cached, still or lack an input are skipped with the reason.
+
+        Cached frames whose data has changed since, and damaged ones, are computed again.
+        """
+        return make_plan(self.drive, selection, self.judge)
+
+    def run(
+        self,
+        plan: Plan | None = None,
+        workers: int = 2,
+        on_frame: Callable[[str], None] = lambda frame_id: None,
+        on_note: Callable[[str], None] = lambda line: None,
+    ) -> BuildReport:
+        """Compute frames in threads and write each as soon as it is done.
+
+        A frame that cannot be read is reported and the others go on. On KeyboardInterrupt the frames in hand are
+        finished and written, the rest is left for the next run. What another build has in hand is left to it. The
+        libraries' threads are held as the command holds them, so that a call is as fast beside other work.
+
+        Args:
+            plan: what to compute; default: every frame of the drive that is not cached.
+            workers: frames computed at the same time.
+            on_frame: told the id of each frame when it is done or has failed.
+            on_note: told what the method does before the first frame, a line at a time.
+        """
+        expect(workers >= 1, "--workers", workers, "1 or more")
+        plan = self.plan() if plan is None else plan
+        self._restamp(plan)
+        if not plan.todo:
+            if self.prior.ids() and self._manifest_is_old():
+                cache.create(self.prior.folder, self.prior.manifest)
+                follow(self.prior)
+            return BuildReport(self.prior, plan, failed=dict(plan.failed))
+        for note in self.method.notes():
+            on_note(note)
+        with threads.limited(threads.count()):
+            work = self._work(on_frame, on_note)
+            work.do(plan.todo, workers, on_note)
+        built = sorted(work.built, key=lambda line: str(line["id"]))
+        return BuildReport(self.prior, plan, built, {**plan.failed, **work.failed}, sorted(work.left))
+
+    def _work(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
+        """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
+        make_depth = self.method.prepare(self.drive, self.prior.folder.parent / "weights", on_note)
+        cache.create(self.prior.folder, self.prior.manifest)
+        follow(self.prior)
+        self.prior.drop_stale()
+        return Work(self.drive, self.prior, self.judge, lambda frame: self.filters(make_depth(frame), frame), on_frame)
+
+    def _restamp(self, plan: Plan) -> None:
+        """Note the times of files that were copied, so that the next plan need not read them."""
+        lines = self.prior.lines()
+        with suppress(OSError):  # a cache that cannot be written: they are read each time
+            for frame_id, sources in plan.restamped.items():
+                self.prior.journal.append({**lines[frame_id], "made_of": sources})
+
+    def _manifest_is_old(self) -> bool:
+        """Tell whether the manifest must be written though no map is made: the drive has moved, or it is damaged."""
+        try:
+            return cache.load(self.prior.folder).drive != self.prior.drive
+        except DataError:
+            return True

@@ -1,0 +1,122 @@
+"""Work: the frames of a plan, computed in threads, shared with other builds of the same prior.
+
+A frame is claimed while it is computed (priors/owner). One that another build has in hand is left to it, and looked at
+again at the end: what the other one has not finished, because it was killed or failed, is computed here.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from priors.build.plan import CACHED, Judge
+from priors.cache import Prior
+from priors.cache.sources import watch
+from priors.errors import DataError
+from priors.owner import claim
+from priors.types import Depth, Drive, Frame
+
+POLL_S = 0.3
+"""How often to look whether another build has finished a frame."""
+
+
+@dataclass
+class Work:
+    """Computes frames and notes what came of each."""
+
+    drive: Drive
+    prior: Prior
+    judge: Judge
+    make_depth: Callable[[Frame], Depth]
+    """The method, and the filters after it."""
+    on_frame: Callable[[str], None]
+    """Told the id of each frame when it is done or has failed."""
+    built: list[dict[str, Any]] = field(default_factory=list)
+    """The new lines of frames.jsonl."""
+    failed: dict[str, str] = field(default_factory=dict)
+    """Frame id -> one-line error."""
+    left: list[str] = field(default_factory=list)
+    """Ids of the frames that another build has made meanwhile."""
+    _in_other_hands: list[int] = field(default_factory=list)
+
+    @property
+    def claims(self) -> Path:
+        """Return the folder of the prior's claims, a file for each frame in hand."""
+        return self.prior.folder / "claims"
+
+    def do(self, indices: Sequence[int], workers: int, on_note: Callable[[str], None]) -> None:
+        """Compute frames; returns when each is done or has failed, here or elsewhere."""
+        told = False
+        while indices:
+            _run_each(self._do_one, indices, workers)
+            waiting, self._in_other_hands = self._in_other_hands, []
+            if waiting and not told:
+                owner = claim.owner_of(self.claims / self.drive.ids[waiting[0]]) or "another build"
+                on_note(f"waiting for {_frames(len(waiting))} that {owner} has in hand")
+                told = True
+            if waiting:
+                time.sleep(POLL_S)
+            indices = waiting
+        self._tidy()
+
+    def _do_one(self, index: int) -> None:
+        frame_id = self.drive.ids[index]
+        try:
+            frame = self.drive[index]
+            held = claim.take(self.claims / frame_id)
+            if held is None:
+                self._in_other_hands.append(index)
+                return
+            with held:
+                self._compute(frame)
+        except DataError as error:
+            self.failed[frame_id] = str(error)
+        self.on_frame(frame_id)
+
+    def _compute(self, frame: Frame) -> None:
+        if self.judge(frame).skip == CACHED:
+            self.left.append(frame.id)
+            return
+        watched = watch(frame)
+        start = time.perf_counter()
+        depth = self.make_depth(watched.frame)
+        seconds = time.perf_counter() - start
+        sources = watched.sources(self.judge.digests)
+        self.built.append(self.prior.write(frame.id, depth, seconds, sources))
+
+    def _tidy(self) -> None:
+        """Delete the claims of builds that were killed, and the folder where no other build has a frame in hand."""
+        for path in self.claims.glob("[!.]*"):
+            if claim.is_dead(path) and (dead := claim.take(path)):
+                dead.release()
+        with suppress(OSError):
+            self.claims.rmdir()
+
+
+def _frames(count: int) -> str:
+    return "a frame" if count == 1 else f"{count} frames"
+
+
+def _run_each(work: Callable[[int], None], indices: Sequence[int], workers: int) -> None:
+    """Call work(index) for each, in threads, few in flight; an interrupt lets those in flight finish."""
+    pending: set[Future[None]] = set()
+    waiting: Iterator[int] = iter(indices)
+    with ThreadPoolExecutor(workers) as pool:
+        try:
+            for index in waiting:
+                pending.add(pool.submit(work, index))
+                if len(pending) > workers:
+                    done, pending = wait(pending, return_when=FIRST_COMPLETED)
+                    _raise_first(done)
+            _raise_first(wait(pending).done)
+        except KeyboardInterrupt:
+            pool.shutdown(wait=True, cancel_futures=True)
+            raise
+
+
+def _raise_first(done: set[Future[None]]) -> None:
+    for future in done:
+        future.result()
