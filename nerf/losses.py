@@ -60,7 +60,7 @@ class LossConfig:
     """Weight of mip-NeRF 360's distortion loss."""
     opacity: float = 0.02
     """Weight of the light that passes rays where the prior has a surface."""
-    sky_opacity: float = 0.005
+    sky_opacity: float = 0.001
     """Weight of what stops the light of rays into the sky, where there is a prior; 0: the sky may be solid."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {"sky_opacity": 0.0}
