@@ -84,6 +84,19 @@ def by_drive(priors: Sequence[Prior]) -> list[list[Prior]]:
     return groups
 
 
+def drive_names(drives: Sequence[Sequence[Prior]]) -> list[str]:
+    """Return the drives' names, each another one: those that share one have the start of their digest after it."""
+    names = [str(priors[0].drive["name"]) for priors in drives]
+    prints = [str(priors[0].manifest.get("fingerprint", ""))[:6] or str(number) for number, priors in enumerate(drives)]
+    return [f"{name}-{own}" if names.count(name) > 1 else name for name, own in zip(names, prints, strict=True)]
+
+
+def folders_to_name(drives: Sequence[Sequence[Prior]]) -> list[Path]:
+    """Return for each drive the folder that stands for it in a command: its own, or a prior's where two share it."""
+    homes = [priors[0].folder.parent for priors in drives]
+    return [home if homes.count(home) == 1 else priors[0].folder for home, priors in zip(homes, drives, strict=True)]
+
+
 def _place(prior: Prior) -> tuple[str, ...]:
     return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
 

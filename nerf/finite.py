@@ -39,7 +39,12 @@ def bad_terms(result: StepResult) -> dict[str, float]:
 def bad_tensor(state: Mapping[str, Tensor]) -> str | None:
     """Return the name of the first tensor that holds NaN or infinity; None where all are finite."""
     floating = {name: tensor for name, tensor in state.items() if tensor.is_floating_point()}
-    return next((name for name, tensor in floating.items() if not bool(torch.isfinite(tensor).all())), None)
+    return next((name for name, tensor in floating.items() if not _is_finite(tensor)), None)
+
+
+def _is_finite(tensor: Tensor) -> bool:
+    """Tell whether all values are finite. NaN and infinity show in the sum, which is one fast pass; so may overflow."""
+    return math.isfinite(float(tensor.sum())) or bool(torch.isfinite(tensor).all())
 
 
 def cause(scene: Scene, config: FitConfig) -> str:

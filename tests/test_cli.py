@@ -159,6 +159,24 @@ def test_a_report_page_holds_table_curves_pictures_and_the_command(built: Path) 
     assert "data:image" not in (built / "one.html").read_text(), "figures alone: the maps are not looked for"
 
 
+def test_a_report_has_a_drive_that_cannot_be_scored_and_names_one_that_cannot_be_opened(
+    built: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(built / "cache", tmp_path / "cache")
+    (lidar,) = (tmp_path / "cache").glob("*/lidar-*")
+    (tmp_path / "cache" / "gone").mkdir()
+    shutil.move(next((tmp_path / "cache").glob("*/completion-*")), tmp_path / "cache" / "gone" / "completion")
+    manifest = tmp_path / "cache" / "gone" / "completion" / "manifest.json"
+    manifest.write_text(manifest.read_text().replace("street_0007_sync", "street_gone"))
+    for path in sorted(lidar.glob("depth/*.png"))[:2]:
+        path.write_bytes(b"no picture")
+    done = priors("report", "cache", "--frames", "0:4", "--out", "a.html", cwd=tmp_path)
+    assert done.returncode == 1 and "left out: cache/gone" in done.stderr and "Traceback" not in done.stderr
+    page = (tmp_path / "a.html").read_text()
+    assert page.count("data:image/jpeg;base64,") == 4
+    assert "stereo" in page and "Left out: lidar, frame 0000000000" in page
+
+
 @pytest.mark.parametrize("flags", [("--save", "table.xls"), ("--curves", "curves.jpg")])
 def test_files_that_cannot_be_written_are_refused_before_anything_is_scored(
     built: Path, tmp_path: Path, flags: tuple[str, str]

@@ -91,6 +91,32 @@ def test_eval_writes_a_report_page(home: Path, tmp_path: Path) -> None:
     assert "<dt>budget</dt>\n<dd>3 steps</dd>" in page
 
 
+def test_a_report_tells_the_whole_story(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["report", home / "runs", "--cache", home / "cache", "--most", 2, "--out", tmp_path / "new" / "a.html"]
+    assert nerf(*asked) == 0
+    first = (tmp_path / "new" / "a.html").read_bytes()
+    assert f"wrote {tmp_path / 'new' / 'a.html'}, {len(first) / 1e6:.1f} MB" in capsys.readouterr().out
+    page = first.decode()
+    titles = re.findall("<h[23]>(.*?)</h[23]>", page)
+    assert [title.split(" of ")[0] for title in titles if " of street" in title] == ["Depth priors", "Radiance fields"]
+    assert {"Frames", "Held-out views", "What made this page"} <= set(titles)
+    assert page.count("data:image/jpeg;base64,") == 2 + 2, "two frames; the view that is held out, and its rendering"
+    metres = next(row for row in Report.load(home / "runs" / "prior" / "metrics.json").frames).figures()["rmse"]
+    assert f"RMSE {metres:.2f} m" in page
+
+
+def test_a_report_that_cannot_be_written_is_told_before_any_work(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for flag, value in (("--out", "page.pdf"), ("--most", 0), ("--megabytes", "nan"), ("--picture-width", 1)):
+        assert refused(capsys, "report", home / "runs", flag, value).startswith(f"error: {flag} {value}: expected ")
+    assert "no runs in it" in refused(capsys, "report", tmp_path)
+    assert (
+        nerf("report", home / "runs", "--cache", home / "cache", "--megabytes", 0.01, "--out", tmp_path / "a.html") == 0
+    )
+    assert "pictured frames are left out: they do not fit into --megabytes 0.01" in capsys.readouterr().out
+
+
 def test_runs_of_several_drives_have_a_table_each(
     home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

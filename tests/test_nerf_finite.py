@@ -110,7 +110,9 @@ def test_every_loss_is_looked_at() -> None:
     assert list(found) == ["interlevel", "sum"]
     state = {"steps": torch.tensor(3), "a": torch.zeros(2), "b": torch.tensor([0.0, float("-inf")])}
     assert finite.bad_tensor(state) == "b"
-    del state["b"]
+    state["b"] = torch.tensor([float("inf"), float("-inf")])
+    assert finite.bad_tensor(state) == "b"
+    state["b"] = torch.full((9,), 3e38)  # finite, though their sum is not
     assert finite.bad_tensor(state) is None
 
 

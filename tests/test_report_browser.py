@@ -156,6 +156,14 @@ def test_every_picture_of_the_fields_is_there_and_the_video_plays(window: Window
     window.page.wait_for_function("video => video.currentTime > 0", arg=video)
 
 
+def test_it_says_how_the_fits_went_and_the_same_results_give_the_same_bytes(report: Path) -> None:
+    first = report.read_bytes()
+    assert b"<h3>Course of the fits</h3>" in first
+    runs, cache = report.parent / "runs", report.parent / "cache"
+    succeed(NERF, "report", runs, "--cache", cache, "--most", 3, "--out", report)
+    assert report.read_bytes() == first
+
+
 def test_names_run_no_code(browser: Browser, tmp_path: Path) -> None:
     made: Page = page(HOSTILE)
     made.write(tmp_path / "a.html")

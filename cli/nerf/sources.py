@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from cli.arguments import DriveArguments, by_drive, find_priors, reopen_drive
+from cli.arguments import DriveArguments, by_drive, find_priors, folders_to_name, reopen_drive
 from cli.console import err
 from priors.advice import PriorAdvice, advise_prior
 from priors.cache import Prior
@@ -73,9 +73,9 @@ def _others(advice: PriorAdvice) -> str:
 def _listed(drives: Sequence[Sequence[Prior]], typed: Sequence[str]) -> str:
     """Number the drives, each as the command that takes its priors."""
     lines = []
-    for number, priors in enumerate(drives, 1):
+    for number, folder in enumerate(folders_to_name(drives), 1):
         words = list(typed)
         at = words.index("--prior") + 1 if "--prior" in words else len(words)
-        words[at : at + 1] = [str(priors[0].folder.parent)]
+        words[at : at + 1] = [str(folder)]
         lines.append(f"\n  {number}. {shlex.join(words)}")
     return "".join(lines)

@@ -4,6 +4,7 @@ import shlex
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, make_dataclass
+from glob import escape
 from pathlib import Path
 from typing import Any, Literal
 
@@ -96,7 +97,8 @@ def _tell_of_other_poses(job: Job) -> None:
     """Say which maps of this method lie there already, made with other poses of the drive: they are not mixed."""
     if job.prior.ids():
         return
-    own, siblings = poses_of(job.drive.describe()), sorted(job.prior.folder.parent.glob(f"{job.method.name}-*"))
+    own = poses_of(job.drive.describe())
+    siblings = sorted(job.prior.folder.parent.glob(f"{escape(job.method.name)}-*"))
     for folder in siblings:
         with suppress(DataError):
             made_with = poses_of(load(folder).drive)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from cli.arguments import by_drive, parse, reopen_drive
+from cli.arguments import by_drive, drive_names, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from cli.mistakes import nearest
 from cli.written import expect_file
@@ -151,7 +151,7 @@ def run(arguments: list[str]) -> int:
     output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + len(loaded) > 1)
     for results in loaded:
         output.show(results)
-    scored = [_try_drive(together, output) for together in drives]
+    scored = [_try_drive(together, name, output) for together, name in zip(drives, drive_names(drives), strict=True)]
     for error in refused:
         err.complain(error, "left out")
     shown = [*loaded, *(one for one in scored if one is not None)]
@@ -178,10 +178,10 @@ def _with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
     return [prior for prior in priors if prior.ids()]
 
 
-def _try_drive(priors: list[Prior], output: Output) -> DriveScores | None:
+def _try_drive(priors: list[Prior], name: str, output: Output) -> DriveScores | None:
     """Score and print one drive; where it cannot be scored and there are others, say why and return None."""
     try:
-        scored = _score_drive(priors, output.args)
+        scored = _score_drive(priors, name, output.args)
         output.show(scored)
     except DataError as error:
         if not output.several:
@@ -193,10 +193,10 @@ def _try_drive(priors: list[Prior], output: Output) -> DriveScores | None:
     return scored
 
 
-def _score_drive(priors: list[Prior], args: ScoreArguments) -> DriveScores:
+def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments) -> DriveScores:
     """Score the priors of one drive; one that cannot be scored is left out. DataError where none can."""
     drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
-    scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive.name)
+    scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive_name)
     for name in names:
         try:
             one = score_prior(scored, name, drive, args)

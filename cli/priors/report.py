@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from cli.arguments import by_drive, find_priors, parse, reopen_drive
+from cli.arguments import by_drive, drive_names, find_priors, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out
 from cli.priors.eval import ScoreArguments, score_prior
 from cli.written import expect_file
@@ -76,9 +76,9 @@ def score_caches(args: ReportArguments) -> list[DriveScores]:
     priors = [prior for path in args.caches for prior in find_priors(path)]
     drives = by_drive(priors)
     scored = []
-    for together in drives:
+    for together, name in zip(drives, drive_names(drives), strict=True):
         try:
-            scored.append(_score_drive(together, args))
+            scored.append(_score_drive(together, name, args))
         except DataError as error:
             if len(drives) == 1:
                 raise
@@ -88,10 +88,10 @@ def score_caches(args: ReportArguments) -> list[DriveScores]:
     return scored
 
 
-def _score_drive(priors: list[Prior], args: ReportArguments) -> DriveScores:
+def _score_drive(priors: list[Prior], drive_name: str, args: ReportArguments) -> DriveScores:
     """Score and picture the priors of one drive; those that cannot be scored are pictured all the same."""
     drive, made = reopen_drive(priors, args.truth, args.data), [prior for prior in priors if prior.ids()]
-    scored = DriveScores([], priors=dict(zip(labels(made), made, strict=True)), name=drive.name)
+    scored = DriveScores([], priors=dict(zip(labels(made), made, strict=True)), name=drive_name)
     for name in scored.priors:
         try:
             score_prior(scored, name, drive, args.scoring)

@@ -158,7 +158,7 @@ def _create(claim: Claim) -> bool:
         claim.path.parent.mkdir(parents=True, exist_ok=True)
         temporary = claim.path.with_name(f".{claim.token}.claim")
         try:
-            temporary.write_text(text)
+            temporary.write_text(text, encoding="utf-8")
             return _link(temporary, claim.path)
         except FileNotFoundError:
             continue
@@ -182,7 +182,7 @@ def _link(temporary: Path, path: Path) -> bool:
     except OSError:  # a file system without hard links
         try:
             with path.open("x") as file:
-                file.write(temporary.read_text())
+                file.write(temporary.read_text("utf-8"))
             return True
         except FileExistsError:
             return False
@@ -208,7 +208,7 @@ def _replace(claim: Claim) -> bool:
 def _read(path: Path) -> Owner | None:
     """Read a claim's file; None where there is none."""
     try:
-        touched_s, text = path.stat().st_mtime, path.read_text()
+        touched_s, text = path.stat().st_mtime, path.read_text("utf-8")
     except FileNotFoundError:
         return None
     except (OSError, UnicodeDecodeError):

@@ -75,7 +75,7 @@ def me(pid: int) -> Process:
 def _space() -> str:
     """Name the boot and the process number space; empty where the system does not tell."""
     try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text("utf-8").strip()
         return f"{boot}/{Path('/proc/self/ns/pid').readlink()}"
     except OSError:
         return ""
@@ -84,7 +84,7 @@ def _space() -> str:
 def _started(pid: int) -> str:
     """Return when a process started (field 22 of /proc/PID/stat), empty where that is not told or it is a zombie."""
     try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
     except OSError:
         return ""
     return "" if fields[0] in "ZX" else fields[19]
