@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 import tyro
 
 from cli.arguments import by_drive, drive_names, find_priors, parse, reopen_drive
-from cli.console import DATA_ERROR, err, out
+from cli.console import DATA_ERROR, busy, err, out
 from cli.priors.eval import ScoreArguments, score_prior
 from cli.written import expect_file
 from eval.protocol import PRESETS
@@ -34,7 +34,7 @@ examples:
 class ReportArguments:
     """Arguments of `priors report`."""
 
-    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE ...]")] = (Path("cache"),)
     """Caches, or drives' or priors' folders."""
     out: Path = Path("report.html")
     """The page."""
@@ -98,7 +98,8 @@ def _score_drive(priors: list[Prior], drive_name: str, args: ReportArguments) ->
         except DataError as error:
             scored.left_out[name] = str(error)
             err.complain(error, f"not scored: {name}")
-    wipe = frames_wipe(drive, scored.priors, scored.results, args.sample, args.frames)
+    with busy("pictures for the page"):
+        wipe = frames_wipe(drive, scored.priors, scored.results, args.sample, args.frames)
     return replace(scored, wipe=wipe)
 
 
@@ -110,7 +111,8 @@ def check_page(path: Path) -> None:
 
 def write_page(page: Page, path: Path, scored: list[DriveScores], sample: Sample) -> None:
     """Write a page, and say how large it is and which frames it had no room for."""
-    page.write(path)
+    with busy("page"):
+        page.write(path)
     wanted = max((len(each.wipe.views) for each in scored if each.wipe), default=0)
     shown = max((len(each.wipe.views) for each in within(scored, sample.room) if each.wipe), default=0)
     if shown < wanted:
