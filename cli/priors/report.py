@@ -107,6 +107,9 @@ def _score_drive(priors: list[Prior], args: ReportArguments) -> DriveScores:
         except DataError as error:
             scored.left_out[name] = str(error)
             err.complain(error, f"not scored: {name}")
+    for what, why in scored.left_out.items():
+        if what not in scored.priors:
+            err.complain(why, f"left out: {what}")
     wipe = frames_wipe(drive, scored.priors, scored.results, args.sample, args.frames)
     return replace(scored, wipe=wipe)
 
