@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import tyro
 
@@ -31,7 +31,7 @@ Parsed = TypeVar("Parsed")
 class DriveArguments:
     """Where a drive is and which part of it to read."""
 
-    data: Annotated[Path | None, tyro.conf.Positional] = None
+    data: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[DATA]")] = None
     """The drive's folder, as downloaded, or its parent with --drive; default: the drive in the current folder, or the
     only one at most three folders down."""
     dataset: DatasetName = "auto"
@@ -84,6 +84,19 @@ def by_drive(priors: Sequence[Prior]) -> list[list[Prior]]:
     return groups
 
 
+def drive_names(drives: Sequence[Sequence[Prior]]) -> list[str]:
+    """Return the drives' names, each another one: those that share one have the start of their digest after it."""
+    names = [str(priors[0].drive["name"]) for priors in drives]
+    prints = [str(priors[0].manifest.get("fingerprint", ""))[:6] or str(number) for number, priors in enumerate(drives)]
+    return [f"{name}-{own}" if names.count(name) > 1 else name for name, own in zip(names, prints, strict=True)]
+
+
+def folders_to_name(drives: Sequence[Sequence[Prior]]) -> list[Path]:
+    """Return for each drive the folder that stands for it in a command: its own, or a prior's where two share it."""
+    homes = [priors[0].folder.parent for priors in drives]
+    return [home if homes.count(home) == 1 else priors[0].folder for home, priors in zip(homes, drives, strict=True)]
+
+
 def _place(prior: Prior) -> tuple[str, ...]:
     return tuple(str(prior.drive.get(field)) for field in ("name", "path", "camera"))
 
@@ -108,7 +121,7 @@ def reopen_drive(priors: Sequence[Prior], truth: Path | None = None, data: Path 
     described = next(there, priors[0].drive)  # some may have been made before it moved
     if truth is not None:
         described = {**described, "truth": str(truth)}
-    drive = drives.reopen(described, data)
+    drive = drives.reopen(_with_near_poses(described, priors[0].folder.parent), data)
     for prior in priors:
         if drive.fingerprint() != prior.manifest.get("fingerprint", drive.fingerprint()):
             place = described["path"] if data is None else f"--data {data}"
@@ -121,6 +134,14 @@ def reopen_drive(priors: Sequence[Prior], truth: Path | None = None, data: Path 
         with suppress(OSError):  # a cache that cannot be written is told of the new place each time
             cache.create(prior.folder, moved)
     return drive
+
+
+def _with_near_poses(described: dict[str, Any], cache_of_drive: Path) -> dict[str, Any]:
+    """Return a drive's description, with its refined poses beside the priors where the cache has moved."""
+    place = Path(str(described.get("poses_from", "")))
+    beside = cache_of_drive / place.name
+    moved = "poses_from" in described and not place.is_dir() and beside.is_dir()
+    return {**described, "poses_from": str(beside)} if moved else described
 
 
 def parse(kind: type[Parsed], command: str, examples: str, arguments: list[str]) -> Parsed:

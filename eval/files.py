@@ -30,7 +30,8 @@ def replacing(path: Path) -> Iterator[Path]:
             raise  # of another file, which the block reads
         raise OSError(error.errno, error.strerror, str(path)) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # a read-only disk: there is none, and the block's own error tells
+            temporary.unlink(missing_ok=True)
 
 
 def write_atomically(path: Path, write: Callable[[Path], object]) -> None:

@@ -72,7 +72,7 @@ class Report:
     info: dict[str, Any]
     """What was run; `name` and `config` among it. Anything JSON holds."""
     remarks: tuple[str, ...] = ()
-    """Figures that are absent, and why, one line each."""
+    """Figures that are absent, and why; whose images took part in the poses. One line each."""
 
     def metrics(self) -> dict[str, float]:
         """Return every figure's mean over the views; views without a figure do not count in it."""
@@ -132,6 +132,8 @@ class Subject:
     """What tells this field from others: a hash of its weights."""
     info: dict[str, Any]
     """What was run; see Report."""
+    remarks: tuple[str, ...] = ()
+    """What must be known beside the figures, one line each."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,7 @@ def report(
         frames.append(scorer.score(position, before.get(scene.ids[position])))
         on_frame()
     lacking = () if scoring.lpips is not None or all(frame.image.lpips for frame in frames) else (HOW_TO_GET,)
-    remarks = (*((truths.why_none,) if truths.why_none else ()), *lacking)
+    remarks = (*subject.remarks, *((truths.why_none,) if truths.why_none else ()), *lacking)
     result = Report(rules, tuple(frames), subject.info, remarks)
     result.save(folder)
     return result

@@ -1,6 +1,7 @@
 """Run: a folder with what was asked for, and everything that came of it; fitted and scored from Python in a line.
 
 runs/<name>/config.json              drive, prior, frames, views and every setting
+           /cameras.json             nerf.cameras
            /checkpoint.safetensors   nerf.checkpoint
            /metrics.jsonl            a line every LOG_EVERY steps: step, seconds, losses, PSNR of the batch
            /metrics.json, renders/   nerf.report
@@ -17,7 +18,7 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import checkpoint, fields, journal, origin
+from nerf import cameras, checkpoint, fields, journal, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
 from nerf.model import Model, ShowsScene
@@ -31,7 +32,7 @@ from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
 from priors import cache
 from priors.cache import Prior
-from priors.drives import reopen
+from priors.drives import poses_remark, reopen
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.machine import threads
@@ -129,6 +130,7 @@ class Run:
         """
         with self.held() as claim:
             _write(self.folder, self.config)  # of two that began at once, the one that trains has described the run
+            cameras.keep(self.folder, self.scene)
             device = pick_device(device)
             model = fit(self.scene, self.config.fit, self.folder, on_step, device, lambda: claim.lost)
         return PlacedModel(model, self.scene.origin_m)
@@ -159,8 +161,9 @@ class Run:
             info: what the report says was run; default: what a study wrote of this run, else its name and config.
         """
         model = self._model(device)
-        truths = Truths(self.drive, [self.scene.ids[position] for position in self.scene.test])
-        subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info())
+        held_out = [self.scene.ids[position] for position in self.scene.test]
+        truths, told = Truths(self.drive, held_out), poses_remark(self.drive, held_out)
+        subject = Subject(model.render, checkpoint.digest(self.folder), info or self._info(), told)
         label = f"held-out views of {names_of([self])[0]}"
         with threads.limited(None), self.progress(label, len(self.scene.test)) as step:
             return report(self.scene, truths, subject, self.folder, Scoring(lpips), step)
@@ -170,8 +173,23 @@ class Run:
         return PlacedModel(self._model(device), checkpoint.origin_of(self.folder) or origin.NONE)
 
     def viewpoints(self, frames: str | None = None) -> Viewpoints:
-        """Return where the drive's camera was, in a range of frames a:b; None: the run's."""
-        return along(self.drive, frames or self.config.frames)
+        """Return where the drive's camera was, in a range of frames a:b; None: the run's.
+
+        Where the drive cannot be opened, the cameras that the run kept serve: those of its own frames.
+        """
+        try:
+            drive = self.drive
+        except (DataError, OSError):
+            views = self.kept_cameras()
+            if views is None:
+                raise
+            return views.only(frames)
+        return along(drive, frames or self.config.frames)
+
+    def kept_cameras(self) -> Viewpoints | None:
+        """Return where the run's frames were seen from, as it kept it when it was fitted; None where it did not."""
+        name = Path(str(self.config.drive.get("path", ""))).name
+        return cameras.kept(self.folder, self.folder.parent / SCENES, name)
 
     def render(self, views: Viewpoints, folder: Path, device: str = "auto") -> None:
         """Render views and write their pictures and depth maps: nerf.pictures.save_view."""

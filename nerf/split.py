@@ -19,6 +19,11 @@ def check_views(views: str) -> None:
     )
 
 
+def held_out(count: int) -> list[int]:
+    """Return the held-out positions among `count` frames: 9, 19, ..."""
+    return list(range(EVERY_HELD_OUT - 1, count, EVERY_HELD_OUT))
+
+
 def split(count: int, views: str) -> tuple[list[int], list[int]]:
     """Part `count` frames into training and held-out positions.
 
@@ -32,20 +37,20 @@ def split(count: int, views: str) -> tuple[list[int], list[int]]:
     Raises:
         DataError: views is none of these, or more frames are asked for than there are.
     """
-    held_out = list(range(EVERY_HELD_OUT - 1, count, EVERY_HELD_OUT))
-    rest = [position for position in range(count) if position not in set(held_out)]
+    test = held_out(count)
+    rest = [position for position in range(count) if position not in set(test)]
     if not rest:
         raise DataError("no frames to train on: choose more with --frames")
     if views == HELD_OUT:
-        if not held_out:
+        if not test:
             raise DataError(f"--views {HELD_OUT}: none of {count} frames is held out: take {EVERY_HELD_OUT} or more")
-        return held_out, held_out
+        return test, test
     if views == "dense":
-        return rest, held_out
+        return rest, test
     if views == "sparse":
-        return rest[::SPARSE_STEP], held_out
+        return rest[::SPARSE_STEP], test
     check_views(views)
     if int(views) > len(rest):
         raise DataError(f"--views {views}: expected dense, sparse or a number from 1 to {len(rest)}")
     wanted = int(views)
-    return [rest[(2 * i + 1) * len(rest) // (2 * wanted)] for i in range(wanted)], held_out
+    return [rest[(2 * i + 1) * len(rest) // (2 * wanted)] for i in range(wanted)], test

@@ -15,8 +15,9 @@ import pytest
 from factories import write_argoverse_tracking, write_folder, write_odometry, write_raw
 from test_build import Line, Plane
 
+from cli.arguments import by_drive, drive_names, folders_to_name, reopen_drive
 from cli.priors import PROGRAM
-from priors import build, cache
+from priors import build, cache, codecs
 from priors.cache.audit import audit
 from priors.cache.sources import Digests, watch, why_stale
 from priors.drives import open_drive
@@ -325,3 +326,20 @@ def test_claims_of_killed_builds_are_cleared(tmp_path: Path) -> None:
     os.utime(dead, (0, 0))
     assert len(one.run().built) == 3
     assert not dead.parent.exists()
+
+
+def test_drives_of_one_name_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Two drives in folders of one name: in one cache, and then one in the place of the other."""
+    folders = [write_folder(tmp_path / name / "mine", right=False) for name in ("one", "two")]
+    codecs.write_image(folders[1] / "left" / "a.png", np.zeros((96, 240), np.uint8))
+    priors = [job(open_drive(folder), tmp_path).run().prior for folder in folders]
+    groups = by_drive(cache.find(tmp_path / "cache"))
+    assert sorted(str(group[0].folder) for group in groups) == sorted(str(prior.folder) for prior in priors)
+    assert len(set(drive_names(groups))) == len(set(folders_to_name(groups))) == 2
+    shutil.rmtree(folders[0])
+    folders[1].rename(folders[0])
+    with pytest.raises(
+        DataError, match=r"is not the drive of .*: calibration, poses or first image differ: build again"
+    ):
+        reopen_drive([priors[0]])
+    assert reopen_drive([priors[1]], data=folders[0]).name == "mine"

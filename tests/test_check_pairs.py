@@ -48,7 +48,7 @@ def another_moment(folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("fault", "expected"),
-    [(swap, "swap left and right"), (same_twice, "the same images"), (another_moment, "one frame late")],
+    [(swap, "swap left and right"), (same_twice, "the same images"), (another_moment, "one frame ahead")],
 )
 def test_a_pair_that_cannot_work_is_fatal_and_nothing_else_is_blamed(
     street_folder: Path, fault: Callable[[Path], None], expected: str
@@ -77,7 +77,14 @@ def test_sizes_that_differ_are_fatal(street_folder: Path) -> None:
 @pytest.mark.parametrize("side", ["left", "right"])
 def test_blank_images_are_told(street_folder: Path, side: str) -> None:
     repaint(street_folder / side, np.zeros_like)
-    assert "stereo" in audit(street_folder)
+    assert set(audit(street_folder)) == {"stereo"}  # what is matched there speaks against no map
+
+
+def test_a_single_frame_whose_images_are_one_is_told(street_folder: Path) -> None:
+    left, right = (sorted((street_folder / side).iterdir())[2] for side in ("left", "right"))
+    shutil.copy(left, right)
+    (finding,) = audit(street_folder)["stereo"]
+    assert finding.level == "fatal" and left.stem in finding.message and "the same image" in finding.message
 
 
 def test_an_unusual_baseline_is_blamed_not_the_maps(street_folder: Path) -> None:
@@ -92,4 +99,7 @@ def test_another_focal_length_is_blamed_not_the_maps(street_folder: Path) -> Non
     path = street_folder / "calib.json"
     calib = json.loads(path.read_text())
     path.write_text(json.dumps({**calib, "fx": 2 * calib["fx"], "fy": 2 * calib["fy"]}))
-    assert "are baseline and focal length right?" in audit(street_folder)["truth"][0].message
+    found = audit(street_folder)
+    for what in ("truth", "sparse"):
+        assert ["are baseline and focal length right?" in finding.message for finding in found[what]] == [True]
+    assert "poses" not in found

@@ -1,15 +1,18 @@
 """The audit of poses: each way of writing them wrongly names itself, and none is seen in those that are right."""
 
+import os
 import shutil
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
+from conftest import RealData
 from factories import read_pose_rows, write_pose_lines
 
 from priors.check import Finding, check
-from priors.drives import open_drive
+from priors.drives import DriveOptions, open_drive
 from priors.geometry import invert
 
 Pose = np.ndarray
@@ -106,6 +109,31 @@ def test_the_lidar_shows_how_far_it_moves(street: Path, tmp_path: Path) -> None:
         latitude, longitude, rest = path.read_text().split(" ", 2)
         path.write_text(f"{0.3 * float(latitude)} {0.3 * float(longitude)} {rest}")
     assert "of what LiDAR sees" in warnings(tmp_path / "street")
+
+
+def test_steps_instead_of_poses_are_named(street_folder: Path) -> None:
+    poses = read_pose_rows(street_folder / "poses.txt")
+    steps = [invert(before) @ after for before, after in pairwise(poses)]
+    write_pose_lines(street_folder / "poses.txt", [np.eye(4), *steps])
+    assert "chain them" in warnings(street_folder)
+
+
+def test_poses_that_stand_still_are_not_called_turned(street_folder: Path) -> None:
+    rewrite(street_folder, lambda T: np.eye(4))
+    assert "the poses stand still, and stereo sees the camera move" in warnings(street_folder)
+
+
+@pytest.mark.slow
+def test_turns_tell_inverted_poses_in_a_world_that_looks_back(real_data: RealData, tmp_path: Path) -> None:
+    """Where z of the world points backwards, inverted poses move a car in the right direction, and turn it wrongly."""
+    shutil.copytree(real_data("kitti_odometry") / "sequences/01", tmp_path / "sequences/01", copy_function=os.symlink)
+    (tmp_path / "poses").mkdir()
+    world = [OPENGL @ T for T in read_pose_rows(real_data("kitti_odometry") / "poses/01.txt")]
+    for poses, expected in ((world, 0), ([invert(T) for T in world], 1)):
+        write_pose_lines(tmp_path / "poses/01.txt", poses)
+        findings = check(open_drive(tmp_path, options=DriveOptions(drive="01")))
+        told = [finding.message for finding in findings if finding.subject == "poses" and finding.level == "warning"]
+        assert len(told) == expected and all("inverted (world to camera)" in message for message in told)
 
 
 def test_without_evidence_a_camera_that_moves_down_is_told(image_folder: Path) -> None:

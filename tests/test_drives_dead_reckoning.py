@@ -218,7 +218,7 @@ def test_maps_of_other_poses_are_not_mixed(
     assert after.prior.folder != before.folder
     with pytest.raises(DataError, match="made with recorded poses, these are dead-reckoned: --poses recorded, or"):
         open_scene(open_drive(path), before, SceneConfig(), tmp_path / "scenes")
-    with pytest.raises(UsageError, match="--poses dead-reckoned: the prior was made with recorded poses"):
+    with pytest.raises(UsageError, match="--poses dead-reckoned: the priors were made with recorded poses"):
         open_sources(DriveArguments(part=DriveOptions(poses="dead-reckoned")), before.folder, [])
     assert PROGRAM.run(["build", str(path), "--method", "lidar", "--lidar.sweeps", "1", "--dry-run"]) == 0
     told = " ".join(capsys.readouterr().err.split())

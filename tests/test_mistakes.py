@@ -45,14 +45,14 @@ def test_the_nearest_flag_is_told() -> None:
         (
             "priors build",
             ["--steps", "3"],
-            "has no flag --steps: a flag of nerf fit, nerf video, nerf study and 1 more",
+            "has no flag --steps: a flag of nerf fit, nerf video, nerf study and ",
         ),
         (
             "priors check",
             ["--no-truth-mask"],
             "has no flag --no-truth-mask: a flag of priors build, nerf fit and nerf study",
         ),
-        ("priors eval", ["--threads", "3"], "a flag of priors build, nerf fit, "),
+        ("priors eval", ["--threads", "3"], "a flag of priors build, priors poses, nerf fit "),
         ("nerf fit", ["--stereo.model=cfnet"], "a flag of priors build"),
         ("nerf eval", ["--voxel_m", "1"], "a flag of nerf export"),
         ("nerf render", ["--net", "x"], "a flag of priors train"),

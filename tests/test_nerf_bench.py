@@ -66,7 +66,7 @@ def test_a_race_stops_at_marks_and_goes_on(tmp_path: Path) -> None:
     assert all(torch.equal(tensor, theirs[name]) for name, tensor in ours.items())
 
     told.clear()
-    assert str(race().warm_up()) == "all 2 fits are done"
+    assert str(race().warm_up()) == "no fit is left to do"
     again = race().run(lambda curve: told.append(curve.entrant.name))
     assert told == []
     assert again[0].points == ngp.points
@@ -195,4 +195,5 @@ def test_what_is_asked_for_becomes_fits() -> None:
 
 def test_a_forecast_reads_well() -> None:
     assert str(Forecast(6, 4, 240, 60)) == "4 of 6 fits: 4.0 min of training, about 1.0 min of scoring"
+    assert str(Forecast(1, 1, 60, 6)) == "1 fit: 1.0 min of training, about 0.1 min of scoring"
     assert str(Forecast(6, 6, 360, 60)) == "6 fits: 6.0 min of training, about 1.0 min of scoring"

@@ -32,7 +32,7 @@ def broken(what: str) -> Scene:
         scene.T_world_cam[position, :3, :3] *= 1e30
     elif what == "image":
         images = scene.images.astype(np.float32)
-        images[position, :, 4] = np.nan
+        images[position] = np.nan
         return replace(scene, images=images)
     elif what == "confidence":
         weight = np.full(scene.depth_m.shape, 255, np.float32)
@@ -93,13 +93,11 @@ def test_a_fit_stops_at_once_and_keeps_what_was_good(tmp_path: Path) -> None:
     assert all(np.isfinite(line["loss"]) for line in lines)
 
 
-@pytest.mark.parametrize(
-    "losses", [{"loss": "mse", "depth_weight": 1e38}, {"loss": "mse", "unit_m": 1e-25}, {"distortion": 3e38}]
-)
+@pytest.mark.parametrize("losses", [{"loss": "mse", "depth_weight": 1e38}, {"loss": "mse", "unit_m": 1e-25}])
 def test_a_setting_that_overflows_never_leaves_a_bad_checkpoint(tmp_path: Path, losses: dict[str, Any]) -> None:
     name = next(name for name in losses if name != "loss")
     with pytest.raises(finite.NotFiniteError, match=f"--{name.replace('_', '-')} .*; nothing was kept"):
-        fit(corridor("sparse"), config(30, **losses), tmp_path)
+        fit(corridor("sparse"), config(3, **losses), tmp_path)
     assert not (tmp_path / checkpoint.NAME).exists()
 
 
@@ -126,24 +124,39 @@ class Clock:
         return self.now_s
 
 
+class Tensors:
+    """Stands in for a model: what a keeper asks of it."""
+
+    def __init__(self, value: float = 0.0) -> None:
+        self.value = value
+
+    def state(self) -> dict[str, torch.Tensor]:
+        return {"a": torch.tensor([self.value])}
+
+
+def kept_steps(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    kept: list[int] = []
+    monkeypatch.setattr(keeper, "save", lambda run, model, spent, origin_m: kept.append(spent.step))
+    return kept
+
+
 def test_the_first_checkpoint_comes_within_5_s_and_the_next_after_30(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(keeper, "time", Clock())
-    kept: list[int] = []
-    monkeypatch.setattr(keeper, "save", lambda run, model, spent, origin_m: kept.append(spent.step))
-    model = fit(corridor("sparse"), config(1), tmp_path)
-    kept.clear()
-    one = Keeper(tmp_path, model, (0, 0, 0), Spent())
+    kept = kept_steps(monkeypatch)
+    one = Keeper(tmp_path, Tensors(), (0, 0, 0), Spent())  # type: ignore[arg-type]
     for second in range(1, 70):  # a step a second
         one.keep_if_due(Spent(second, float(second)))
     assert 1 < kept[0] <= 5
     assert 28 <= kept[1] - kept[0] <= 31 and len(kept) == 3
 
 
-def test_a_run_that_another_took_over_is_left_alone(tmp_path: Path) -> None:
-    fit(corridor("sparse"), config(3), tmp_path)
-    good = checkpoint.digest(tmp_path)
+def test_what_is_bad_or_no_longer_ours_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = kept_steps(monkeypatch)
     with pytest.raises(LostError, match="another process took this run over"):
-        fit(corridor("sparse"), config(6), tmp_path, lost=lambda: True)
-    assert checkpoint.digest(tmp_path) == good
+        Keeper(tmp_path, Tensors(), (0, 0, 0), Spent(), lambda: True).keep(Spent(1))  # type: ignore[arg-type]
+    with pytest.raises(finite.NotFiniteError, match="a is not finite after step 1"):
+        Keeper(tmp_path, Tensors(np.nan), (0, 0, 0), Spent()).keep(Spent(1))  # type: ignore[arg-type]
+    Keeper(tmp_path, Tensors(), (0, 0, 0), Spent(1)).keep(Spent(1))  # type: ignore[arg-type]
+    assert kept == []

@@ -15,6 +15,7 @@ from nerf.export import CloudConfig, write_cloud, write_mesh
 EXAMPLES = """Write a coloured point cloud (.ply), or a mesh (.ply, .obj, .glb; needs open3d), in the drive's frame.
 
 examples:
+  nerf export                                       the only run in runs/
   nerf export runs/NAME
   nerf export runs/NAME --kind mesh --out street.glb --voxel-m 0.2
 """
@@ -38,12 +39,12 @@ def run(arguments: list[str]) -> int:
     """Write the file; returns the exit code."""
     args = parse(ExportArguments, "nerf export", EXAMPLES, arguments)
     with args.limited():
-        return _export(args)
+        return _export(args, ["nerf", "export", *arguments])
 
 
-def _export(args: ExportArguments) -> int:
-    path = args.out or args.run / f"{args.kind}.ply"
-    this_run = args.open()
+def _export(args: ExportArguments, typed: list[str]) -> int:
+    this_run = args.open(typed)
+    path = args.out or this_run.folder / f"{args.kind}.ply"
     expect_file("--out", path)
     views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     write = write_cloud if args.kind == "cloud" else write_mesh

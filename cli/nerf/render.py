@@ -34,12 +34,12 @@ def run(arguments: list[str]) -> int:
     """Render; returns the exit code."""
     args = parse(RenderArguments, "nerf render", EXAMPLES, arguments)
     with args.limited():
-        return _render(args)
+        return _render(args, ["nerf", "render", *arguments])
 
 
-def _render(args: RenderArguments) -> int:
-    folder = args.out or args.run / "views"
-    this_run = args.open()
+def _render(args: RenderArguments, typed: list[str]) -> int:
+    this_run = args.open(typed)
+    folder = args.out or this_run.folder / "views"
     expect_folder("--out", folder)
     views = this_run.viewpoints(args.frames)
     if args.poses is not None:

@@ -4,7 +4,7 @@ import shlex
 from collections.abc import Sequence
 from pathlib import Path
 
-from cli.arguments import DriveArguments, by_drive, find_priors, reopen_drive
+from cli.arguments import DriveArguments, by_drive, find_priors, folders_to_name, reopen_drive
 from cli.console import err
 from priors.advice import PriorAdvice, advise_prior
 from priors.cache import Prior
@@ -35,21 +35,23 @@ def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str])
         drive = args.open()
         own = [one for one in priors if one.manifest.get("fingerprint") == drive.fingerprint()]
         return drive, _choose(own or priors, drive)
+    priors = _with_poses(priors, args.part.poses)
     drives = by_drive(priors)
     if len(drives) > 1:
         raise UsageError(f"{prior}: priors of {len(drives)} drives: name one:{_listed(drives, typed)}")
     drive = reopen_drive(priors, args.part.truth)
-    _expect_poses(args.part.poses, poses_of(drive.describe()))
     err.print(f"drive: {drive.name}, as its priors say")
     return drive, _choose(priors, drive)
 
 
-def _expect_poses(wanted: str, found: str) -> None:
-    """Raise where --poses asks for others than those that the priors were made with."""
-    if wanted not in ("auto", found):
-        raise UsageError(
-            f"--poses {wanted}: the prior was made with {found} poses: leave it out, or build anew with it"
-        )
+def _with_poses(priors: Sequence[Prior], wanted: str) -> list[Prior]:
+    """Return the priors that were made with these poses; 'auto' takes all, and UsageError names those there are."""
+    fitting = [prior for prior in priors if wanted in ("auto", poses_of(prior.drive))]
+    if not fitting:
+        found = " and ".join(sorted({poses_of(prior.drive) for prior in priors}))
+        told = f"the priors were made with {found} poses: leave it out, or build anew with it"
+        raise UsageError(f"--poses {wanted}: {told}")
+    return fitting
 
 
 def _choose(priors: Sequence[Prior], drive: Drive) -> Prior:
@@ -73,9 +75,9 @@ def _others(advice: PriorAdvice) -> str:
 def _listed(drives: Sequence[Sequence[Prior]], typed: Sequence[str]) -> str:
     """Number the drives, each as the command that takes its priors."""
     lines = []
-    for number, priors in enumerate(drives, 1):
+    for number, folder in enumerate(folders_to_name(drives), 1):
         words = list(typed)
         at = words.index("--prior") + 1 if "--prior" in words else len(words)
-        words[at : at + 1] = [str(priors[0].folder.parent)]
+        words[at : at + 1] = [str(folder)]
         lines.append(f"\n  {number}. {shlex.join(words)}")
     return "".join(lines)

@@ -35,12 +35,12 @@ def run(arguments: list[str]) -> int:
     """Write the video; returns the exit code."""
     args = parse(VideoArguments, "nerf video", EXAMPLES, arguments)
     with args.limited():
-        return _write(args)
+        return _write(args, ["nerf", "video", *arguments])
 
 
-def _write(args: VideoArguments) -> int:
-    path = args.out or args.run / "video.mp4"
-    this_run = args.open()
+def _write(args: VideoArguments, typed: list[str]) -> int:
+    this_run = args.open(typed)
+    path = args.out or this_run.folder / "video.mp4"
     expect_file("--out", path)
     views, model = this_run.viewpoints(args.frames), this_run.open_model(args.device)
     with progress("video", args.video.steps * (len(views.ids) - 1) + 1) as step:

@@ -47,11 +47,11 @@ def run(arguments: list[str]) -> int:
     args = parse(ViewArguments, "nerf view", EXAMPLES, arguments)
     server.require()
     with args.limited():
-        return _view(args)
+        return _view(args, ["nerf", "view", *arguments])
 
 
-def _view(args: ViewArguments) -> int:
-    this_run = args.open()
+def _view(args: ViewArguments, typed: list[str]) -> int:
+    this_run = args.open(typed)
     model, stage = this_run.open_model(args.device), open_stage(this_run, args.frames, args.points)
 
     def open_panel(opened: Any) -> FieldPanel:

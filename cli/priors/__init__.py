@@ -13,6 +13,7 @@ PROGRAM = Program(
         "view": "look at a drive and its priors in 3D, live in a browser",
         "list": "list what a cache holds",
         "check": "audit a drive: calibration, joins, stereo, poses, LiDAR",
+        "poses": "refine a drive's poses by what its images see",
         "train": "train the networks: render samples, train, pack weights",
         "street": "write the embedded street as a KITTI raw drive",
     },

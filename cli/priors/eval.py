@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from cli.arguments import by_drive, parse, reopen_drive
-from cli.console import DATA_ERROR, err, out, progress
+from cli.arguments import by_drive, drive_names, parse, reopen_drive
+from cli.console import DATA_ERROR, busy, err, out, progress
 from cli.mistakes import nearest
 from cli.written import expect_file
 from eval import table
@@ -50,7 +50,7 @@ STUDY_SHARE = 0.9228
 class ScoreArguments:
     """Arguments of `priors eval`."""
 
-    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE ...]")] = (Path("cache"),)
     """Caches, drives' or priors' folders, or metrics.json files of earlier runs."""
     protocol: Literal[*PRESETS] = "paper"  # type: ignore[valid-type]
     """Which pixels count and how; docs/metrics.md has the definitions."""
@@ -121,14 +121,16 @@ class Output:
         if self.args.curves is not None and scored.curves:
             path = self._place(self.args.curves, scored.drive)
             plots = [plot for name, drawn in scored.curves.items() for plot in sparsification(name, drawn)]
-            lines.write(path, plots, max(map(len, scored.curves.values())))
+            with busy("plots"):
+                lines.write(path, plots, max(map(len, scored.curves.values())))
             out.print(f"wrote {path}")
 
     def save(self, drives: Sequence[DriveScores]) -> None:
         """Write one file of each format that was asked for, with the tables of all drives."""
         for path in self.args.save:
             if path.suffix == SUFFIX:
-                scores_page(drives, self.args.keys, self.command, Sample().room).write(path)
+                with busy("page"):
+                    scores_page(drives, self.args.keys, self.command, Sample().room).write(path)
             else:
                 table.save([(scored.drive, scored.results) for scored in drives], path, self.args.keys)
             out.print(f"wrote {path}")
@@ -151,7 +153,7 @@ def run(arguments: list[str]) -> int:
     output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + len(loaded) > 1)
     for results in loaded:
         output.show(results)
-    scored = [_try_drive(together, output) for together in drives]
+    scored = [_try_drive(together, name, output) for together, name in zip(drives, drive_names(drives), strict=True)]
     for error in refused:
         err.complain(error, "left out")
     shown = [*loaded, *(one for one in scored if one is not None)]
@@ -178,10 +180,10 @@ def with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
     return [prior for prior in priors if prior.ids()]
 
 
-def _try_drive(priors: list[Prior], output: Output) -> DriveScores | None:
+def _try_drive(priors: list[Prior], name: str, output: Output) -> DriveScores | None:
     """Score and print one drive; where it cannot be scored and there are others, say why and return None."""
     try:
-        scored = _score_drive(priors, output.args)
+        scored = _score_drive(priors, name, output.args)
         output.show(scored)
     except DataError as error:
         if not output.several:
@@ -193,10 +195,11 @@ def _try_drive(priors: list[Prior], output: Output) -> DriveScores | None:
     return scored
 
 
-def _score_drive(priors: list[Prior], args: ScoreArguments) -> DriveScores:
+def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments) -> DriveScores:
     """Score the priors of one drive; one that cannot be scored is left out. DataError where none can."""
-    drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
-    scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive.name)
+    with busy("opening the drive"):
+        drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
+    scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive_name)
     for name in names:
         try:
             one = score_prior(scored, name, drive, args)
@@ -206,12 +209,15 @@ def _score_drive(priors: list[Prior], args: ScoreArguments) -> DriveScores:
             scored.left_out[name] = str(error)
             continue
         if one.pixels is not None:
-            out.print(f"{name}: {_best_share(one)}")
+            with busy(f"best pixels of {name}"):
+                best = _best_share(one)
+            out.print(f"{name}: {best}")
             out.print(f"{name}: {_areas(scored.curves[name])}")
     if not scored.results:
         raise DataError(f"none of its {len(names)} priors can be scored, the first: {scored.left_out[names[0]]}")
     if args.page:
-        wipe = frames_wipe(drive, scored.priors, scored.results, Sample(), args.frames)
+        with busy("pictures for the page"):
+            wipe = frames_wipe(drive, scored.priors, scored.results, Sample(), args.frames)
         scored = replace(scored, wipe=wipe)
     return scored
 
@@ -227,7 +233,8 @@ def score_prior(scored: DriveScores, name: str, drive: Drive, args: ScoreArgumen
     if one.unsaved is not None:
         scored.left_out[f"{name}, metrics.json"] = one.unsaved
     if one.pixels is not None:
-        scored.curves[name] = one.curves()
+        with busy(f"sparsification curves of {name}"):
+            scored.curves[name] = one.curves()
     return one
 
 

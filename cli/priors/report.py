@@ -7,8 +7,8 @@ from typing import Annotated, Literal
 
 import tyro
 
-from cli.arguments import by_drive, parse, reopen_drive
-from cli.console import DATA_ERROR, err, out
+from cli.arguments import by_drive, drive_names, parse, reopen_drive
+from cli.console import DATA_ERROR, busy, err, out
 from cli.priors.eval import ScoreArguments, score_prior, with_maps
 from cli.written import expect_file
 from eval.protocol import PRESETS
@@ -34,7 +34,7 @@ examples:
 class ReportArguments:
     """Arguments of `priors report`."""
 
-    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE ...]")] = (Path("cache"),)
     """Caches, or drives' or priors' folders."""
     out: Path = Path("report.html")
     """The page."""
@@ -84,9 +84,9 @@ def score_caches(args: ReportArguments) -> tuple[list[DriveScores], bool]:
     if not drives:
         raise DataError(f"{args.caches[0]}: no maps yet: build them first (`priors build`)")
     scored = []
-    for together in drives:
+    for together, name in zip(drives, drive_names(drives), strict=True):
         try:
-            scored.append(_score_drive(together, args))
+            scored.append(_score_drive(together, name, args))
         except DataError as error:
             if len(drives) == 1:
                 raise
@@ -97,10 +97,10 @@ def score_caches(args: ReportArguments) -> tuple[list[DriveScores], bool]:
     return scored, not lost
 
 
-def _score_drive(priors: list[Prior], args: ReportArguments) -> DriveScores:
+def _score_drive(priors: list[Prior], drive_name: str, args: ReportArguments) -> DriveScores:
     """Score and picture the priors of one drive; those that cannot be scored are pictured all the same."""
     drive = reopen_drive(priors, args.truth, args.data)
-    scored = DriveScores([], priors=dict(zip(labels(priors), priors, strict=True)), name=drive.name)
+    scored = DriveScores([], priors=dict(zip(labels(priors), priors, strict=True)), name=drive_name)
     for name in scored.priors:
         try:
             score_prior(scored, name, drive, args.scoring)
@@ -110,7 +110,8 @@ def _score_drive(priors: list[Prior], args: ReportArguments) -> DriveScores:
     for what, why in scored.left_out.items():
         if what not in scored.priors:
             err.complain(why, f"left out: {what}")
-    wipe = frames_wipe(drive, scored.priors, scored.results, args.sample, args.frames)
+    with busy("pictures for the page"):
+        wipe = frames_wipe(drive, scored.priors, scored.results, args.sample, args.frames)
     return replace(scored, wipe=wipe)
 
 
@@ -122,7 +123,8 @@ def check_page(path: Path) -> None:
 
 def write_page(page: Page, path: Path, scored: list[DriveScores], sample: Sample) -> None:
     """Write a page, and say how large it is and which frames it had no room for."""
-    page.write(path)
+    with busy("page"):
+        page.write(path)
     wanted = max((len(each.wipe.views) for each in scored if each.wipe), default=0)
     shown = max((len(each.wipe.views) for each in within(scored, sample.room) if each.wipe), default=0)
     if shown < wanted:

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from cli.arguments import by_drive, find_priors, parse, reopen_drive
+from cli.arguments import by_drive, drive_names, find_priors, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from cli.written import expect_folder
 from priors import codecs
@@ -28,7 +28,7 @@ examples:
 class ShowArguments:
     """Arguments of `priors show`."""
 
-    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE ...]")] = (Path("cache"),)
     """Caches, or drives' or priors' folders."""
     out: Path = Path("pictures")
     """Folder for the pictures: <out>/<drive>/<frame>.jpg."""
@@ -57,11 +57,12 @@ def run(arguments: list[str]) -> int:
     args = parse(ShowArguments, "priors show", EXAMPLES, arguments)
     expect_folder("--out", args.out)
     priors = [prior for path in args.caches for prior in find_priors(path)]
-    whole = [_show_drive(together, args) for together in by_drive(priors)]
+    drives = by_drive(priors)
+    whole = [_show_drive(together, name, args) for together, name in zip(drives, drive_names(drives), strict=True)]
     return 0 if all(whole) else DATA_ERROR
 
 
-def _show_drive(priors: list[Prior], args: ShowArguments) -> bool:
+def _show_drive(priors: list[Prior], drive_name: str, args: ShowArguments) -> bool:
     """Write a drive's pictures; returns whether all maps could be read: those that cannot are named and left out."""
     drive = reopen_drive(priors, args.truth, args.data)
     cached = {id_ for prior in priors for id_ in prior.ids()}
@@ -69,7 +70,7 @@ def _show_drive(priors: list[Prior], args: ShowArguments) -> bool:
     if not indices:
         raise DataError(f"{priors[0].folder.parent}: no maps of these frames: build them first")
     names = labels(priors)
-    folder, unread = args.out / drive.name, {}
+    folder, unread = args.out / drive_name, {}
     with progress("show", len(indices)) as step:
         for index in indices:
             frame, rows = drive[index], []

@@ -1,12 +1,13 @@
 """`priors view`: a drive and its priors in three dimensions, live in a browser."""
 
+import shlex
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from cli.arguments import DatasetName, DriveArguments, by_drive, find_priors, parse, reopen_drive
+from cli.arguments import DatasetName, DriveArguments, by_drive, find_priors, folders_to_name, parse, reopen_drive
 from cli.view import AddressArguments
 from priors.cache import Prior, holds_priors
 from priors.drives import DriveOptions
@@ -33,7 +34,7 @@ CACHE = Path("cache")
 class ViewArguments(AddressArguments):
     """Arguments of `priors view`."""
 
-    what: Annotated[Path | None, tyro.conf.Positional] = None
+    what: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE|DATA]")] = None
     """A cache, a drive's or a prior's folder in it, or DATA, a drive's own folder; default: cache/ where there is one,
     else the drive here."""
     frames: str | None = None
@@ -70,7 +71,7 @@ class ViewArguments(AddressArguments):
             raise DataError(f"{place}: no priors of {wanted}: `priors list {place}` tells what there is")
         several = by_drive(found)
         if len(several) > 1:
-            lines = [f"\n  priors view {group[0].folder.parent}" for group in several]
+            lines = [f"\n  priors view {shlex.quote(str(folder))}" for folder in folders_to_name(several)]
             raise UsageError(f"{place}: holds {len(several)} drives: name one:{''.join(lines)}")
         return several[0]
 

@@ -3,7 +3,7 @@
 Poses, times and joins are looked at in every frame; images, sweeps and maps in a few frames spread over the drive.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Generator
 from contextlib import AbstractContextManager, nullcontext
 from typing import TypeAlias
 
@@ -46,15 +46,23 @@ def check(drive: Drive, samples: int = SAMPLES, progress: ProgressBar = silent) 
     sampled = look(frames, samples, progress)
     findings += judge_calibration(frames[0])
     findings += judge_files(sampled)
-    pairs = list(judge_stereo(sampled))
-    findings += pairs
+    trusted = yield_into(findings, judge_stereo(sampled))
     for sample in sampled:
-        sample.trusts_stereo = all(finding.level != "fatal" for finding in pairs)
+        sample.trusts_stereo = trusted
+    maps = list(judge_maps(sampled))  # first: depth that they find wrong is no evidence for poses
     findings += judge_poses(frames, sampled)
     findings += judge_times(frames)
     findings += judge_lidar(sampled)
-    findings += judge_maps(sampled)
-    return findings
+    return findings + maps
+
+
+def yield_into(findings: list[Finding], judge: Generator[Finding, None, bool]) -> bool:
+    """Collect the findings of a judge; returns what it returns."""
+    while True:
+        try:
+            findings.append(next(judge))
+        except StopIteration as done:
+            return bool(done.value)
 
 
 def look(frames: list[Frame], samples: int, progress: ProgressBar) -> list[Sample]:

@@ -9,16 +9,17 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
+import numpy.typing as npt
 
 from priors.check.finding import Finding
 from priors.check.sample import Sample
-from priors.check.scale import POSE_FACTORS, name_factor
+from priors.check.scale import POSE_FACTORS, name_factor, three_digits
 from priors.geometry import invert
 from priors.motion import Trajectory
 from priors.types import Matrix
 
-FEWEST = 2
-"""Pairs of frames that must show the motion."""
+FEWEST, FEWEST_FINE = 2, 6
+"""Pairs of frames that must show the motion, and that tell two conventions apart by turns alone."""
 ASIDE_DEG, TURNED_DEG = 25.0, 2.0
 """How far off direction and turn of a motion may be, medians."""
 BETTER = 0.4
@@ -30,7 +31,13 @@ LONGER = 1.4
 SCATTER = 0.4
 """Deviation from the median of the lengths' ratio's logarithm, median, beyond which poses are other frames'."""
 STILL_M = 0.02
+STANDS = 0.01
+"""Poses that move less than this share of what is seen stand still."""
+FINER, FINER_DEG, MOST = 0.5, 0.1, 0.75
+"""Where direction and turn fit, another convention is told if its turns are off by so much less: share, degrees, and in
+which share of the motions. Where a world's z points backwards, inverted poses of a car differ by so little."""
 
+Floats = npt.NDArray[np.float64]
 Reading: TypeAlias = Callable[[Matrix, Matrix], Matrix]
 """Makes T_next_this, in the camera's own axes, of two frames' poses as they are written."""
 # What turns the axes of a camera as other conventions have them into ours (x right, y down, z forward).
@@ -65,6 +72,7 @@ READINGS: Mapping[str, Reading] = {
     "inverted, and of axes with x forward, y left, z up": _in_axes(VEHICLE, _inverted),
     "of axes with x forward, y right, z down": _in_axes(AIRCRAFT, _as_they_are),
     "with their rotations transposed": _turned_back,
+    "steps from the frame before: chain them": lambda this, following: invert(following),
 }
 """What poses may be, and what to do."""
 
@@ -79,6 +87,8 @@ class Misfit:
     """Length by the poses over length seen; 1 where lengths are not seen."""
     scatter: float
     """Of the ratio's logarithm."""
+    turns_off_deg: Floats
+    """(n,) How far the turn of each motion is off."""
 
     @property
     def cost(self) -> float:
@@ -97,19 +107,27 @@ def judge_axes(sampled: Sequence[Sample]) -> Generator[Finding, None, bool]:
     if len(posed) < FEWEST:
         return False
     by = next((sample.seen_motion.by for sample in posed if sample.seen_motion and sample.seen_motion.by), None)
-    eyes = "the images see" if by is None else f"{by} sees"
+    eyes = _eyes(by)
     given = compare(posed, _as_they_are)
     if not given.fits:
-        yield Finding("warning", "poses", _name_axes(posed, given, eyes))
+        yield Finding("warning", "poses", _name_axes(posed, given, by))
         return True
     text = f"{given.aside_deg:.0f} degrees beside what {eyes}, {given.ratio:.2f} times as far ({len(posed)} motions)"
-    if max(given.ratio, 1 / given.ratio) > LONGER:
-        yield Finding("warning", "poses", _name_scale(given.ratio, eyes, by))
+    finer = _finer(posed, given)
+    if finer:
+        yield Finding("warning", "poses", f"{text}; their turns fit better if they are {', or '.join(finer)}")
+    elif max(given.ratio, 1 / given.ratio) > LONGER:
+        yield Finding("warning", "poses", _name_scale(posed, given.ratio, by))
     elif given.scatter > SCATTER:
         yield Finding("warning", "poses", f"{text}, now more, now less: are they of other frames?")
     else:
         yield Finding("ok", "poses", text)
     return True
+
+
+def _eyes(by: str | None) -> str:
+    """Say who sees the motion."""
+    return "the images see" if by is None else f"{by} sees"
 
 
 def compare(posed: Sequence[Sample], reading: Reading) -> Misfit:
@@ -126,7 +144,8 @@ def compare(posed: Sequence[Sample], reading: Reading) -> Misfit:
             ratios.append(np.linalg.norm(T[:3, 3]) / np.linalg.norm(motion.T_next_this[:3, 3]))
     logs = np.log(np.maximum(ratios, 1e-9)) if ratios else np.zeros(1)
     scatter = float(np.median(np.abs(logs - np.median(logs))))
-    return Misfit(float(np.median(aside)), float(np.median(turned)), float(np.exp(np.median(logs))), scatter)
+    aside_deg, turned_deg, ratio = float(np.median(aside)), float(np.median(turned)), float(np.exp(np.median(logs)))
+    return Misfit(aside_deg, turned_deg, ratio, scatter, np.array(turned))
 
 
 def motion_ratio(sampled: Sequence[Sample], by: str) -> float | None:
@@ -147,9 +166,12 @@ def _posed(sampled: Sequence[Sample]) -> list[Sample]:
     ]
 
 
-def _name_axes(posed: Sequence[Sample], given: Misfit, eyes: str) -> str:
+def _name_axes(posed: Sequence[Sample], given: Misfit, by: str | None) -> str:
     """Say which other way of writing poses fits what the images show."""
+    eyes = _eyes(by)
     text = f"the camera moves along none of its own axes: {given.aside_deg:.0f} degrees beside what {eyes}"
+    if by is not None and given.ratio < STANDS:
+        return f"the poses stand still, and {eyes} the camera move: are they of this drive?"
     if given.aside_deg < ASIDE_DEG:
         text = f"the camera turns by other angles than what {eyes}: {given.turned_deg:.1f} degrees off"
     found = {name: compare(posed, reading) for name, reading in READINGS.items()}
@@ -160,14 +182,31 @@ def _name_axes(posed: Sequence[Sample], given: Misfit, eyes: str) -> str:
     return f"{text}; they fit if they are {', or '.join(names)}"
 
 
-def _name_scale(ratio: float, eyes: str, by: str | None) -> str:
+def _finer(posed: Sequence[Sample], given: Misfit) -> list[str]:
+    """Return the conventions whose turns are clearly nearer to those seen than the turns of poses as they are."""
+    found = {name: compare(posed, reading) for name, reading in READINGS.items()}
+    clear = {name: misfit for name, misfit in found.items() if misfit.fits and _is_finer(misfit, given)}
+    best = min((misfit.turns_off_deg.mean() for misfit in clear.values()), default=0.0)
+    return [name for name, misfit in clear.items() if misfit.turns_off_deg.mean() < best + FINER_DEG]
+
+
+def _is_finer(misfit: Misfit, given: Misfit) -> bool:
+    """Tell whether turns by one reading are nearer to those seen than by another: on average, and in most motions."""
+    one, other = misfit.turns_off_deg, given.turns_off_deg
+    nearer = one.mean() < FINER * other.mean() and other.mean() - one.mean() > FINER_DEG
+    return bool(len(one) >= FEWEST_FINE and nearer and np.mean(one < other) >= MOST)
+
+
+def _name_scale(posed: Sequence[Sample], ratio: float, by: str | None) -> str:
     """Say that the poses are in another unit."""
-    times = f"{ratio:.3g} times" if ratio > 1 else f"1/{1 / ratio:.3g} of"
-    text = f"their motion is {times} what {eyes}"
-    cause = name_factor(ratio, POSE_FACTORS)
-    if by in ("truth", "sparse"):
-        return f"{text}: {cause}; or the {by} maps are in another unit"
-    return f"{text}: {cause}"
+    times = f"{three_digits(ratio)} times" if ratio > 1 else f"1/{three_digits(1 / ratio)} of"
+    text = f"their motion is {times} what {_eyes(by)}"
+    name, chained = next((name, reading) for name, reading in READINGS.items() if "chain" in name)
+    steps = compare(posed, chained)
+    if steps.fits and max(steps.ratio, 1 / steps.ratio) < LONGER:
+        return f"{text}; they fit if they are {name}"
+    or_map = f"; or the {by} maps are in another unit" if by in ("truth", "sparse") else ""
+    return f"{text}: {name_factor(ratio, POSE_FACTORS)}{or_map}"
 
 
 def judge_direction(path: Trajectory, *, pair: bool) -> Iterator[Finding]:

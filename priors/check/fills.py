@@ -13,8 +13,9 @@ LARGEST_M = np.float32(65535 / 256)
 """What 65535 is read as, metres."""
 MANY = 0.005
 """Share of a map's values that must be 65535."""
-OFTEN = 0.05
-"""Share of a map's values that must be one and the same other number."""
+OFTEN, ALIKE, FEW = 0.05, 0.005, 0.2
+"""Share of a map's values that must be one and the same other number. It is no surface's where values that are alike,
+to that share of the depth, are few: this share of its own."""
 BEYOND = 1.5
 """A fill value is so many times as far as nearly all others, or so far from what stereo or LiDAR see there."""
 SEEN = 50
@@ -48,7 +49,8 @@ def judge_fill(what: str, fill: Fill | None) -> Iterator[Finding]:
     """Tell of a fill value."""
     if fill is not None:
         number = "65535 (256 m)" if fill.value_m == LARGEST_M else f"exactly {fill.value_m:g} m"
-        yield Finding("warning", what, f"{fill.share:.0%} of its values are {number}: do they stand for none? write 0")
+        text = f"{fill.share:.0%} of its values are {number}: do they stand for none, or for farther? write 0"
+        yield Finding("warning", what, text)
 
 
 def _fill(sample: Sample, map_m: FloatMap) -> Fill | None:
@@ -60,7 +62,9 @@ def _fill(sample: Sample, map_m: FloatMap) -> Fill | None:
     if share < OFTEN:
         return None
     fill = Fill(float(numbers[often]), share)
-    found = _stands_out(values_m, fill.value_m) or _is_denied(sample, map_m == numbers[often], fill.value_m)
+    alike = np.abs(numbers / numbers[often] - 1) < ALIKE
+    alone = counts[alike].sum() - counts[often] < FEW * counts[often]
+    found = alone or _stands_out(values_m, fill.value_m) or _is_denied(sample, map_m == numbers[often], fill.value_m)
     return fill if found else None
 
 

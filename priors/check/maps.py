@@ -16,7 +16,8 @@ from priors.check.fills import find_fill, judge_fill
 from priors.check.finding import Finding
 from priors.check.ground import CAR_M, USUAL_M, ground_below
 from priors.check.sample import Sample
-from priors.check.scale import MAP_FACTORS, name_factor
+from priors.check.scale import MAP_FACTORS, name_factor, three_digits
+from priors.geometry import rays
 from priors.types import Input
 
 Floats = npt.NDArray[np.float64]
@@ -28,6 +29,8 @@ OFF, BAD = 0.1, 0.2
 """Deviation, median, that is doubtful, and that means another frame or another camera."""
 OTHER_SCALE = 1.4
 """A median ratio that is so much larger or smaller than 1 is another scale."""
+ALONG_RAYS = (0.6, 1.6)
+"""How the ratio of two maps rises towards the image's edges, as a share of what rays do."""
 SPREAD = 0.3
 """Deviation from the median ratio's logarithm, median, beyond which it is no scale."""
 
@@ -42,6 +45,8 @@ class Comparison:
     """(n,) of the map."""
     reference_m: Floats
     """(n,)"""
+    stretch: Floats
+    """(n,) How much longer each pixel's ray is than its part along the camera's z axis."""
 
     @property
     def ratio(self) -> float:
@@ -54,6 +59,11 @@ class Comparison:
         return max(self.ratio, 1 / self.ratio) > OTHER_SCALE and self.spread < SPREAD
 
     @property
+    def differs(self) -> bool:
+        """Whether one of the two is wrong."""
+        return self.is_scaled or self.deviation > BAD
+
+    @property
     def deviation(self) -> float:
         """Deviation, median, as a share of the reference."""
         return float(np.median(np.abs(self.depth_m / self.reference_m - 1)))
@@ -62,6 +72,15 @@ class Comparison:
     def spread(self) -> float:
         """Deviation from the median of the ratio's logarithm, median."""
         return _spread(np.log(self.depth_m / self.reference_m))
+
+    @property
+    def is_along_rays(self) -> bool:
+        """Whether the map is as much too far at the image's edges as rays are longer there."""
+        low, high = np.quantile(self.stretch, (0.25, 0.75))
+        logs, middle, edge = np.log(self.depth_m / self.reference_m), self.stretch <= low, self.stretch >= high
+        rise = np.median(logs[edge]) - np.median(logs[middle])
+        expected = np.median(np.log(self.stretch[edge])) - np.median(np.log(self.stretch[middle]))
+        return bool(ALONG_RAYS[0] * expected < rise < ALONG_RAYS[1] * expected)
 
     @property
     def is_disparity(self) -> bool:
@@ -83,25 +102,30 @@ def judge_maps(sampled: Sequence[Sample]) -> Iterator[Finding]:
         others = ("stereo", "LiDAR", *(kind for kind in KINDS if kind != what))
         compared = next((c for name in others if (c := _compare(sampled, what, name)) is not None), None)
         if compared is None:
-            yield _judge_ground(sampled, what)
-        elif compared.reference in KINDS and compared.is_scaled and not _is_worse(sampled, compared):
+            found, blames_stereo = _judge_ground(sampled, what), False
+        elif compared.reference in KINDS and compared.differs and not _is_worse(sampled, compared):
             continue  # the other map is told
         else:
-            yield _judge(compared, _blames_stereo(sampled, compared))
+            blames_stereo = _blames_stereo(sampled, compared)
+            found = _judge(compared, blames_stereo)
+        yield found
+        for sample in sampled if found.level in ("warning", "fatal") else ():
+            sample.distrust("stereo" if blames_stereo else what)
 
 
 def _compare(sampled: Sequence[Sample], what: str, reference: str) -> Comparison | None:
     """Collect the values of two depths where both have one; None where they share few pixels."""
-    depths, references = [np.zeros(0)], [np.zeros(0)]
+    depths, references, stretches = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for sample in sampled:
         depth_m, reference_m = sample.depths.get(what), sample.depths.get(reference)
         if depth_m is not None and reference_m is not None:
             both = (depth_m > 0) & (reference_m > 0)
             depths.append(depth_m[both].astype(np.float64))
             references.append(reference_m[both].astype(np.float64))
+            stretches.append(np.linalg.norm(rays(sample.frame.camera), axis=-1)[both])
     if sum(map(len, depths)) < FEWEST:
         return None
-    return Comparison(what, reference, np.concatenate(depths), np.concatenate(references))
+    return Comparison(what, reference, *map(np.concatenate, (depths, references, stretches)))
 
 
 def _judge(compared: Comparison, stereo_is_off: bool) -> Finding:
@@ -109,16 +133,21 @@ def _judge(compared: Comparison, stereo_is_off: bool) -> Finding:
     seen = f"the {compared.reference} maps" if compared.reference in KINDS else compared.reference
     text = f"median deviation from {seen} {compared.deviation:.1%} of the depth ({len(compared.depth_m)} pixels)"
     if compared.is_scaled:
-        scale = f"its depth is {compared.ratio:.3g} times that of {seen}"
+        scale = f"its depth is {three_digits(compared.ratio)} times that of {seen}"
         cause = name_factor(compared.ratio, MAP_FACTORS)
         if stereo_is_off:
             cause = "but so is that of others, or the baseline is unusual: are baseline and focal length right?"
         return Finding("fatal", compared.what, f"{scale}: {cause}")
     if compared.deviation > BAD:
-        holds = "are they of other frames, or of another camera?"
+        which = "is one of the two" if compared.reference in KINDS else "is it"
+        holds = f"{which} of other frames, of another camera, or mirrored?"
         if compared.is_disparity:
-            holds = "it holds disparities: a depth map holds metres: see docs/datasets.md"
+            which = "one of the two holds" if compared.reference in KINDS else "it holds"
+            holds = f"{which} disparities: a depth map holds metres: see docs/datasets.md"
         return Finding("fatal", compared.what, f"{text}: {holds}")
+    if compared.is_along_rays:
+        meant = "along the rays, not along the camera's z axis? divide by the rays' length"
+        return Finding("warning", compared.what, f"{text}, more at the image's edges: does it hold distances {meant}")
     return Finding("warning" if compared.deviation > OFF else "ok", compared.what, text)
 
 
@@ -126,7 +155,7 @@ def _blames_stereo(sampled: Sequence[Sample], compared: Comparison) -> bool:
     """Tell whether LiDAR or the poses' motion differ from stereo by a map's factor, or no car has such a baseline."""
     if compared.reference != "stereo":
         return False
-    if not is_usual_baseline(sampled[0].frame):
+    if sampled[0].distrusts("stereo") or not is_usual_baseline(sampled[0].frame):
         return True
     lidar = _compare(sampled, "LiDAR", "stereo")
     others = [None if lidar is None else lidar.ratio, motion_ratio(sampled, "stereo")]
@@ -150,8 +179,9 @@ def _judge_ground(sampled: Sequence[Sample], what: str) -> Finding:
     text = f"by it the ground lies {ground_m:.2f} m below the camera"
     if CAR_M[0] < ground_m < CAR_M[1]:
         return Finding("ok", what, text)
-    wanted = "PNG holds metres x 256, .npy and .pfm metres"
-    return Finding("warning", what, f"{text}: no car's camera is there: is it in metres ({wanted})?")
+    motion = motion_ratio(sampled, what)  # the poses' over the map's
+    factor = ground_m / USUAL_M if motion is None else 1 / motion
+    return Finding("warning", what, f"{text}, where no car's camera is: {name_factor(factor, MAP_FACTORS)}")
 
 
 def _spread(values: Floats) -> float:

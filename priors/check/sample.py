@@ -32,6 +32,7 @@ class Sample:
     after: Frame | None = None
     trusts_stereo: bool = True
     """Whether the pair works: else what stereo sees is no evidence."""
+    _distrusted: set[str] = field(default_factory=set)
     _read: dict[str, Any] = field(default_factory=dict)
     _errors: dict[str, str] = field(default_factory=dict)
 
@@ -131,12 +132,22 @@ class Sample:
         if value_m is not None and what in self.depths:
             self.depths[what] = np.where(self.depths[what] == np.float32(value_m), np.float32(0), self.depths[what])
 
+    def distrusts(self, what: str) -> bool:
+        """Tell whether a kind of depth map was found wrong."""
+        return what in self._distrusted
+
+    def distrust(self, what: str) -> None:
+        """Take a kind of depth map for no evidence of how the camera moves."""
+        self._distrusted.add(what)
+        self.__dict__.pop("seen_motion", None)
+
     @cached_property
     def seen_motion(self) -> SeenMotion | None:
         """How the camera moves to the frame after, as the images show it; None where they do not."""
         if self.grey is None or self.follower is None or self.follower.shape != self.grey.shape:
             return None
-        return see_motion(self.grey, self.follower, self.frame.camera, self.depths)
+        evidence = {name: map_m for name, map_m in self.depths.items() if name not in self._distrusted}
+        return see_motion(self.grey, self.follower, self.frame.camera, evidence)
 
 
 def attempt(make: Callable[[], Made]) -> Made | None:

@@ -35,4 +35,9 @@ def name_factor(factor: float, factors: Factors) -> str:
     off, cause = min((abs(float(np.log(factor / known))), cause) for known, cause in factors)
     if off < NEAR:
         return cause
-    return f"are they metres? if not, multiply by {1 / factor:.3g}"
+    return f"are they metres? if not, multiply by {three_digits(1 / factor)}"
+
+
+def three_digits(number: float) -> str:
+    """Return a number with its first three digits, never as a power of ten."""
+    return np.format_float_positional(float(f"{number:.3g}"), trim="-")

@@ -1,11 +1,12 @@
 """Stereo: do the two images show one moment, with the other camera's shifted to the right side, along rows?"""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
-from priors.check.finding import Finding
+from priors.check.finding import Finding, some
 from priors.check.sample import Sample
 
 FEWEST = 30
@@ -18,37 +19,60 @@ SURE_PX = 0.2
 """Where they scatter less, it is one moment."""
 SAME_PX = 0.75
 """Where nine in ten corners are shifted less, the two images are one."""
+TWIN_LEVELS, BLANK_LEVELS = 0.5, 5.0
+"""Grey levels that two files of one image differ by, on average; spread of an image that shows something."""
 CALMER = 0.6
 """Another moment's scatter must be so much less to be the right one."""
 
 
-def judge_stereo(sampled: Sequence[Sample]) -> Iterator[Finding]:
-    """Judge the pairs of the sampled frames."""
+def judge_stereo(sampled: Sequence[Sample]) -> Generator[Finding, None, bool]:
+    """Judge the pairs of the sampled frames; returns whether what they see is evidence for other findings."""
     pairs = [sample for sample in sampled if sample.read("image") is not None and sample.read("other") is not None]
     if not pairs:
-        return
+        return False
     yield from _kinds(pairs)
+    yield from _twins(pairs)
     by_frame = [shifts for sample in pairs if (shifts := sample.corners) is not None]
     if not by_frame:
         yield Finding("warning", "stereo", f"no corner found in {len(pairs)} pairs of images: are they blank?")
-        return
+        return False
     shifts = np.concatenate(by_frame)
     if len(shifts) < FEWEST:
         text = f"only {len(shifts)} corners of {len(by_frame)} frames found in the other image: is it the same moment?"
         yield Finding("warning", "stereo", text)
-        return
-    yield _judge_shifts(pairs, shifts)
+        return False
+    judged = _judge_shifts(pairs, shifts)
+    yield judged
+    return judged.level != "fatal" and abs(float(np.median(shifts[:, 1]))) <= BAD_ROW_PX
 
 
 def _kinds(pairs: Sequence[Sample]) -> Iterator[Finding]:
     """Find pairs whose images differ in size or in kind."""
+    for sample in pairs:
+        image, other = sample.read("image"), sample.read("other")
+        if image.shape[:2] != other.shape[:2]:
+            sizes = " and ".join(f"{a.shape[1]}x{a.shape[0]}" for a in (image, other))
+            text = f"frame {sample.frame.id}: the two images are {sizes}: expected equal, resize neither"
+            yield Finding("fatal", "stereo", text)
+            return
     image, other = pairs[0].read("image"), pairs[0].read("other")
-    if image.shape[:2] != other.shape[:2]:
-        sizes = " and ".join(f"{a.shape[1]}x{a.shape[0]}" for a in (image, other))
-        yield Finding("fatal", "stereo", f"the two images are {sizes}: expected equal, resize neither")
-    elif image.ndim != other.ndim:
+    if image.ndim != other.ndim:
         kinds = " and ".join("grey" if a.ndim == 2 else "in colour" for a in (image, other))
         yield Finding("note", "stereo", f"the two images are {kinds}: they are matched in grey")
+
+
+def _twins(pairs: Sequence[Sample]) -> Iterator[Finding]:
+    """Find single frames whose two images are one; where all are, the corners tell."""
+    twins = [sample.frame.id for sample in pairs if _is_twin(sample)]
+    if 0 < len(twins) < len(pairs):
+        yield Finding("fatal", "stereo", f"frames {some(twins)}: left and right are the same image")
+
+
+def _is_twin(sample: Sample) -> bool:
+    """Tell whether a frame's two images are one, and show something."""
+    image, other = sample.read("image"), sample.read("other")
+    same = image.shape == other.shape and float(np.mean(cv2.absdiff(image, other))) < TWIN_LEVELS
+    return bool(same and image.std() > BLANK_LEVELS)
 
 
 def _judge_shifts(pairs: Sequence[Sample], shifts: npt.NDArray[np.float64]) -> Finding:
@@ -81,7 +105,7 @@ def _scatter(shifts: npt.NDArray[np.float64]) -> float:
 
 def _other_moment(pairs: Sequence[Sample], scatter_px: float) -> str | None:
     """Say from which frame the other images are, where that before or after fits better; None where it does not."""
-    ways = {"late": [sample.before for sample in pairs], "early": [sample.after for sample in pairs]}
+    ways = {"ahead": [sample.before for sample in pairs], "behind": [sample.after for sample in pairs]}
     for way, moments in ways.items():
         by_frame = [sample.corners_in(moment) for sample, moment in zip(pairs, moments, strict=True)]
         found = [shifts for shifts in by_frame if shifts is not None and len(shifts)]

@@ -9,23 +9,27 @@ Where drives lie in folders of their own below the data set's (priors/places.py 
 
 import os
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Collection
+from dataclasses import dataclass, replace
 from importlib import import_module
 from itertools import islice
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
-from priors import extensions
+from priors import extensions, refined_poses
 from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.drives._files import first_size as first_size
 from priors.drives._files import stems as stems
 from priors.drives._files import subfolders as subfolders
 from priors.drives._links import plain
+from priors.drives._refined import RefinedDrive as RefinedDrive
 from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.types import Drive
 
 __path__.extend(extensions.folders("drives"))
+CACHE = Path("cache")
+"""Where commands keep results unless they are told."""
 LISTED = 1000  # entries of an unknown folder that its error message looks at
 
 
@@ -41,12 +45,17 @@ class DriveOptions:
     truth: Path | None = None
     """Folder with KITTI depth maps: holds train/<drive>/proj_depth or <drive>/proj_depth. For Argoverse 1: the folder
     that holds disparity_maps_v1.1."""
-    poses: Literal["auto", "recorded", "dead-reckoned"] = "auto"
-    """Where poses come from: the positions as recorded, or dead-reckoned from recorded velocities and tied to the
-    positions over seconds. auto: dead-reckoned where a drive records velocities (KITTI raw)."""
+    poses: Literal["auto", "recorded", "dead-reckoned", "refined"] = "auto"
+    """Where poses come from: the positions as recorded; dead-reckoned from recorded velocities and tied to the
+    positions over seconds; or refined by what images see (`priors poses`). auto: dead-reckoned where a drive records
+    velocities (KITTI raw), else as recorded."""
+    poses_from: Path = CACHE
+    """Where --poses refined finds them: the cache that `priors poses` wrote to, or one folder of poses in it."""
 
     def __post_init__(self) -> None:
         expect_choices(self, "")
+        beside = self.poses == "refined" or self.poses_from == CACHE
+        expect(beside, "--poses-from", self.poses_from, "--poses refined beside it")
         expect(self.drive != "", "--drive", "''", "a name, or leave it out")
         expect(self.camera != "", "--camera", "''", "a name, or leave it out")
 
@@ -72,12 +81,25 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     drive: Drive = reader(name).open_drive(path, options)
     if options.poses == "dead-reckoned" and poses_of(drive.describe()) != options.poses:
         raise UsageError(f"--poses dead-reckoned: {drive.name} has no velocities that fit its positions: leave it out")
-    return drive
+    return _refined(drive, options) if options.poses == "refined" else drive
+
+
+def _refined(drive: Drive, options: DriveOptions) -> RefinedDrive:
+    """Place a drive by its refined poses; DataError where there are none, or several."""
+    return RefinedDrive(drive, refined_poses.find(options.poses_from, drive.name, drive.fingerprint()))
 
 
 def poses_of(description: dict[str, Any]) -> str:
     """Return which poses a drive has, by its description: as they are recorded, unless it says more."""
     return str(description.get("poses", "recorded"))
+
+
+def poses_remark(drive: Drive, held_out: Collection[str]) -> tuple[str, ...]:
+    """Say of refined poses whether images or sweeps of held-out frames took part; nothing of other poses."""
+    if not isinstance(drive, RefinedDrive):
+        return ()
+    seen, source = len(drive.poses.looked_at(held_out)), drive.poses.record["source"]
+    return (f"poses refined by {source}: {seen or 'none'} of the {len(held_out)} held-out views took part in it",)
 
 
 def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
@@ -99,9 +121,13 @@ def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
         raise DataError(f"{path}: no such folder: has the drive moved? Name it: --data FOLDER")
     if moved_to is not None and truth is not None and not truth.is_dir():
         truth = None  # it moved too, or lies beside the drive as usual
-    poses: Literal["recorded", "auto"] = "recorded" if poses_of(description) == "recorded" else "auto"
-    options = DriveOptions(camera=description.get("camera"), truth=truth, poses=poses)
-    return open_drive(path, dataset, options)
+    options = DriveOptions(camera=description.get("camera"), truth=truth)
+    if poses_of(description) != "refined":
+        poses: Literal["recorded", "auto"] = "recorded" if poses_of(description) == "recorded" else "auto"
+        return open_drive(path, dataset, replace(options, poses=poses))
+    refined = refined_poses.load(Path(str(description.get("poses_from", ""))))
+    own = {**description, "poses": poses_of(dict(refined.record["drive"]))}
+    return RefinedDrive(reopen(own, moved_to), refined)
 
 
 def reader(name: str) -> ModuleType:
