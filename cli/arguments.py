@@ -31,7 +31,7 @@ Parsed = TypeVar("Parsed")
 class DriveArguments:
     """Where a drive is and which part of it to read."""
 
-    data: Annotated[Path | None, tyro.conf.Positional] = None
+    data: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[DATA]")] = None
     """The drive's folder, as downloaded, or its parent with --drive; default: the drive in the current folder, or the
     only one at most three folders down."""
     dataset: DatasetName = "auto"

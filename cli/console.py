@@ -5,7 +5,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 from rich.progress import (
@@ -27,6 +27,8 @@ from priors.errors import DataError, UsageError
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 SILENT_S = 2.0
 """Work that takes longer says what it does."""
+SHOWN_S = 0.5
+"""On a terminal it says so from here on: words that flash up are not read."""
 
 watch = Watch(err)
 """Tells when kernels are compiled."""
@@ -67,11 +69,11 @@ def _told(error: OSError) -> str:
 
 
 @contextmanager
-def _bar(*columns: ProgressColumn) -> Iterator[Progress]:
-    """Show a progress bar; while it moves, what is compiled stands in its last column."""
+def _bar(*columns: ProgressColumn, transient: bool = False) -> Iterator[Progress]:
+    """Show a progress bar, which goes in the end where it is transient; what is compiled stands in its last column."""
     watch.bar_begins()
     try:
-        with Progress(*columns, CompilingColumn(watch), console=err) as bar:
+        with Progress(*columns, CompilingColumn(watch), console=err, transient=transient) as bar:
             yield bar
     finally:
         watch.bar_ends()
@@ -111,14 +113,21 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
 
 @contextmanager
 def busy(label: str) -> Iterator[None]:
-    """Say what is being done where nothing can be counted; in a pipe what is done within SILENT_S is not told."""
-    if err.moves:
-        with _bar(LABEL, TimeElapsedColumn()) as bar:
+    """Say what is being done where nothing can be counted, while it lasts; what is done soon is not told.
+
+    On a terminal it stands there from SHOWN_S on, and goes; in a pipe two lines are told from SILENT_S on.
+    """
+    began, shown = time.perf_counter(), ExitStack()
+
+    def show() -> None:
+        if err.moves:
+            bar = shown.enter_context(_bar(LABEL, TimeElapsedColumn(), transient=True))
             bar.add_task(label, total=None)
-            yield
-        return
-    began = time.perf_counter()
-    timer = threading.Timer(SILENT_S, lambda: err.print(f"{label} ..."))
+        else:
+            err.print(f"{label} ...")
+            shown.callback(lambda: err.print(f"{label}: {time.perf_counter() - began:.0f} s"))
+
+    timer = threading.Timer(SHOWN_S if err.moves else SILENT_S, show)
     timer.daemon = True
     timer.start()
     try:
@@ -126,13 +135,12 @@ def busy(label: str) -> Iterator[None]:
     finally:
         timer.cancel()
         timer.join()
-    if time.perf_counter() - began > SILENT_S:
-        err.print(f"{label}: {time.perf_counter() - began:.0f} s")
+        shown.close()
 
 
 @contextmanager
 def train_progress(label: str) -> Iterator[Callable[..., None]]:
-    """Show loss, error and time left of a network's training on a terminal, a line every 100 steps in a pipe."""
+    """Show loss, error and time left of a network's training on a terminal, a line every tenth in a pipe."""
     from priors.learn.loop import TrainProgress
 
     def line(status: TrainProgress) -> str:
@@ -144,12 +152,18 @@ def train_progress(label: str) -> Iterator[Callable[..., None]]:
             task = bar.add_task(label, total=1.0, line="")
             yield lambda status: bar.update(task, completed=status.done, line=line(status))
         return
-    yield lambda status: err.print(f"{label}: {line(status)}") if status.step % 100 == 0 else None
+    tenths = _Tenths()
+
+    def step(status: TrainProgress) -> None:
+        if tenths.passed(status.done):
+            err.print(f"{label} {status.done:.0%}: {line(status)}")
+
+    yield step
 
 
 @contextmanager
 def fit_progress(label: str) -> Iterator[Callable[..., None]]:
-    """Show loss, PSNR, rays a second and time left on a terminal, a line every 10 s in a pipe."""
+    """Show loss, PSNR, rays a second and time left on a terminal, a line every tenth in a pipe."""
     from nerf.fit import Status
 
     told = 0.0
@@ -172,10 +186,23 @@ def fit_progress(label: str) -> Iterator[Callable[..., None]]:
             yield draw
         return
 
+    tenths = _Tenths()
+
     def step(status: Status) -> None:
-        nonlocal told
-        if status.elapsed_s - told >= 10 or status.progress >= 1:
-            told = status.elapsed_s
+        if tenths.passed(status.progress):
             err.print(f"{label} {status.progress:.0%}: {line(status)}")
 
     yield step
+
+
+class _Tenths:
+    """Tells when another tenth of some work is done; what was done before, when it goes on, is not told again."""
+
+    def __init__(self) -> None:
+        self._told: int | None = None
+
+    def passed(self, done: float) -> bool:
+        """Return whether a tenth was passed since the last call; `done` is in [0, 1]."""
+        now = int(10 * done + 1e-9)
+        before, self._told = self._told, now
+        return now > before if before is not None else now >= 10

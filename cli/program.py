@@ -3,11 +3,13 @@
 import os
 import sys
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
-from cli.console import USAGE_ERROR, err, guarded, out
+from cli.console import USAGE_ERROR, busy, err, guarded, out
 from cli.mistakes import nearest
 from cli.owners import program_with
 from cli.stand_ins import say_plainly
@@ -47,7 +49,12 @@ class Program:
         if not {"-h", "--help"}.intersection(rest) and (wrong := _wrong_mode()):
             err.complain(wrong)
             return USAGE_ERROR
-        return guarded(lambda: import_module(f"cli.{self.name}.{name}").run(rest))
+        return guarded(lambda: self._load(name).run(rest))
+
+    def _load(self, name: str) -> Any:
+        """Import a command's file: where PyTorch is read from a cold disk that takes a while. A pipe is not told."""
+        with busy(f"loading {self.name} {name}") if err.moves else nullcontext():
+            return import_module(f"cli.{self.name}.{name}")
 
     def _unknown(self, name: str) -> str:
         """Say which command may be meant by a word that is none."""

@@ -37,6 +37,11 @@ def without(origin_m: Offset, T_world_cam: Poses) -> npt.NDArray[np.float64]:
     return poses
 
 
+def put_back(origin_m: Offset, T_world_cam: Poses) -> npt.NDArray[np.float64]:
+    """Return poses (..., 4, 4) of an origin's frame in the drive's own: what undoes `without`."""
+    return without((-origin_m[0], -origin_m[1], -origin_m[2]), T_world_cam)
+
+
 def told(origin_m: Offset) -> str:
     """Write an origin for people: (455000, 5428001, 110)."""
     return f"({', '.join(f'{value:.0f}' for value in origin_m)})"

@@ -1,6 +1,7 @@
 """Run: a folder with what was asked for, and everything that came of it; fitted and scored from Python in a line.
 
 runs/<name>/config.json              drive, prior, frames, views and every setting
+           /cameras.json             nerf.cameras
            /checkpoint.safetensors   nerf.checkpoint
            /metrics.jsonl            a line every LOG_EVERY steps: step, seconds, losses, PSNR of the batch
            /metrics.json, renders/   nerf.report
@@ -17,7 +18,7 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import checkpoint, fields, journal, origin
+from nerf import cameras, checkpoint, fields, journal, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
 from nerf.model import Model, ShowsScene
@@ -37,7 +38,7 @@ from priors.filters import Filters
 from priors.machine import threads
 from priors.machine.device import pick_device
 from priors.owner.claim import Claim, hold, owner_of
-from priors.records import restore
+from priors.records import earlier, restore
 from priors.types import Drive
 
 FORMAT = 1
@@ -129,6 +130,7 @@ class Run:
         """
         with self.held() as claim:
             _write(self.folder, self.config)  # of two that began at once, the one that trains has described the run
+            cameras.keep(self.folder, self.scene)
             device = pick_device(device)
             model = fit(self.scene, self.config.fit, self.folder, on_step, device, lambda: claim.lost)
         return PlacedModel(model, self.scene.origin_m)
@@ -171,8 +173,23 @@ class Run:
         return PlacedModel(self._model(device), checkpoint.origin_of(self.folder) or origin.NONE)
 
     def viewpoints(self, frames: str | None = None) -> Viewpoints:
-        """Return where the drive's camera was, in a range of frames a:b; None: the run's."""
-        return along(self.drive, frames or self.config.frames)
+        """Return where the drive's camera was, in a range of frames a:b; None: the run's.
+
+        Where the drive cannot be opened, the cameras that the run kept serve: those of its own frames.
+        """
+        try:
+            drive = self.drive
+        except (DataError, OSError):
+            views = self.kept_cameras()
+            if views is None:
+                raise
+            return views.only(frames)
+        return along(drive, frames or self.config.frames)
+
+    def kept_cameras(self) -> Viewpoints | None:
+        """Return where the run's frames were seen from, as it kept it when it was fitted; None where it did not."""
+        name = Path(str(self.config.drive.get("path", ""))).name
+        return cameras.kept(self.folder, self.folder.parent / SCENES, name)
 
     def render(self, views: Viewpoints, folder: Path, device: str = "auto") -> None:
         """Render views and write their pictures and depth maps: nerf.pictures.save_view."""
@@ -239,7 +256,9 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     path = folder / CONFIG
     _refuse_taken(folder)
     before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
-    if _comparable(before) != _comparable(config):
+    if _comparable(before) == _comparable(earlier(config)):
+        config = replace(config, fit=earlier(config.fit))  # it was begun by an earlier version, and goes on as it was
+    elif _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
         forget(folder)

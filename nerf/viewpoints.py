@@ -23,6 +23,11 @@ class Viewpoints:
     T_world_cam: npt.NDArray[np.float64]
     """(n, 4, 4) camera to world, the drive's own frame, metres."""
 
+    def only(self, frames: str | None) -> "Viewpoints":
+        """Return those in a range of frames a:b; None: all of them. DataError where there are none."""
+        positions = select(self.ids, frames)
+        return Viewpoints(self.camera, [self.ids[position] for position in positions], self.T_world_cam[positions])
+
 
 def along(drive: Drive, frames: str | None = None) -> Viewpoints:
     """Return where a drive's camera was, in a range of frames a:b; None: all of them."""

@@ -123,6 +123,7 @@ def test_poses_that_stand_still_are_not_called_turned(street_folder: Path) -> No
     assert "the poses stand still, and stereo sees the camera move" in warnings(street_folder)
 
 
+@pytest.mark.slow
 def test_turns_tell_inverted_poses_in_a_world_that_looks_back(real_data: RealData, tmp_path: Path) -> None:
     """Where z of the world points backwards, inverted poses move a car in the right direction, and turn it wrongly."""
     shutil.copytree(real_data("kitti_odometry") / "sequences/01", tmp_path / "sequences/01", copy_function=os.symlink)

@@ -66,7 +66,7 @@ def test_a_race_stops_at_marks_and_goes_on(tmp_path: Path) -> None:
     assert all(torch.equal(tensor, theirs[name]) for name, tensor in ours.items())
 
     told.clear()
-    assert str(race().warm_up()) == "all 2 fits are done"
+    assert str(race().warm_up()) == "no fit is left to do"
     again = race().run(lambda curve: told.append(curve.entrant.name))
     assert told == []
     assert again[0].points == ngp.points
@@ -141,7 +141,7 @@ def test_the_table_has_means_spread_ceiling_and_what_the_warp_beats(tmp_path: Pa
     assert [len(each["points"]) for each in content["curves"]] == [2, 2, 2, 2, 1, 0]
     assert content["curves"][0]["points"][0]["metrics"]["abs_rel"] is None
     assert typeset.markdown(laid) in (tmp_path / "bench.md").read_text()
-    (psnr,) = results.plots(curves)
+    psnr, by_processor = results.plots(curves)
     assert {line.label: line.dashed for line in psnr.lines} == {
         "ngp stereo-abcdef0123, sparse": False,
         "mip360 stereo-abcdef0123, sparse": False,
@@ -150,6 +150,7 @@ def test_the_table_has_means_spread_ceiling_and_what_the_warp_beats(tmp_path: Pa
     }
     assert psnr.lines[0].y.tolist() == [20.0, 23.0]
     assert psnr.lines[3].x.tolist() == [11.0, 31.0]  # the warp is a level
+    assert by_processor.lines[0].x.tolist() == [20.0, 20.0]
 
 
 def test_variants_are_rows_of_their_own(tmp_path: Path) -> None:
@@ -195,4 +196,5 @@ def test_what_is_asked_for_becomes_fits() -> None:
 
 def test_a_forecast_reads_well() -> None:
     assert str(Forecast(6, 4, 240, 60)) == "4 of 6 fits: 4.0 min of training, about 1.0 min of scoring"
+    assert str(Forecast(1, 1, 60, 6)) == "1 fit: 1.0 min of training, about 0.1 min of scoring"
     assert str(Forecast(6, 6, 360, 60)) == "6 fits: 6.0 min of training, about 1.0 min of scoring"

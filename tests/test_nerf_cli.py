@@ -65,7 +65,8 @@ def prior_of(home: Path) -> Path:
 def test_a_fit_leaves_a_scored_run(home: Path) -> None:
     run = home / "runs" / "prior"
     names = {path.name for path in run.iterdir()}
-    assert names == {"config.json", "checkpoint.safetensors", "metrics.json", "metrics.jsonl", "depth.json", "renders"}
+    figures = {"metrics.json", "metrics.jsonl", "depth.json", "renders"}
+    assert names == {"config.json", "cameras.json", "checkpoint.safetensors", *figures}
     assert all(picture_path(run / "renders", kind, HELD_OUT).exists() for kind in KEPT)
 
 
@@ -111,6 +112,8 @@ def test_a_report_that_cannot_be_written_is_told_before_any_work(
     for flag, value in (("--out", "page.pdf"), ("--most", 0), ("--megabytes", "nan"), ("--picture-width", 1)):
         assert refused(capsys, "report", home / "runs", flag, value).startswith(f"error: {flag} {value}: expected ")
     assert "no runs in it" in refused(capsys, "report", tmp_path)
+    shutil.copytree(home / "cache", tmp_path / "cache", ignore=shutil.ignore_patterns("*.png"))
+    assert "no maps yet" in refused(capsys, "report", home / "runs", "--cache", tmp_path / "cache")
     assert (
         nerf("report", home / "runs", "--cache", home / "cache", "--megabytes", 0.01, "--out", tmp_path / "a.html") == 0
     )
@@ -216,6 +219,41 @@ def test_priors_that_cannot_be_used_are_refused_in_a_line(
     assert "0000000000.png" in refused(capsys, *street, "--prior", few)
 
 
+@pytest.fixture
+def alone(home: Path, tmp_path: Path) -> Path:
+    """The run's folder alone, on a machine that has neither its drive nor its prior."""
+    shutil.copytree(home / "runs" / "prior", tmp_path / "run")
+    config = tmp_path / "run" / "config.json"
+    config.write_text(config.read_text().replace(str(home), "/nowhere"))
+    return tmp_path / "run"
+
+
+def test_a_run_keeps_its_cameras(home: Path, alone: Path) -> None:
+    there, kept = open_run(home / "runs" / "prior").viewpoints("2:5"), open_run(alone).viewpoints("2:5")
+    assert kept.ids == there.ids and len(kept.ids) == 3
+    np.testing.assert_array_equal(kept.T_world_cam, there.T_world_cam)
+    np.testing.assert_array_equal(kept.camera.K, there.camera.K)
+    assert kept.camera.size == there.camera.size == SIZE
+
+
+def test_without_the_drive_a_field_is_shown_all_the_same(home: Path, alone: Path) -> None:
+    np.savetxt(alone / "p.txt", [open_run(alone).viewpoints().T_world_cam[9][:3].ravel()])
+    assert nerf("render", alone, "--poses", alone / "p.txt", "--out", alone / "new") == 0
+    assert nerf("export", alone, "--frames", "9") == 0 and (alone / "cloud.ply").exists()
+    shown = codecs.read_image(alone / "new" / "rgb" / "000000.png").astype(int)
+    own = codecs.read_image(picture_path(home / "runs" / "prior" / "renders", "rgb", HELD_OUT))
+    assert np.abs(shown - own).max() <= 2
+
+
+def test_without_the_drive_and_its_cameras_what_is_missing_is_told(
+    alone: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (alone / "cameras.json").unlink()
+    assert "/nowhere" in refused(capsys, "render", alone)
+    (alone / "cameras.json").write_text("{")
+    assert "/nowhere" in refused(capsys, "export", alone)
+
+
 def test_poses_that_jump_are_refused(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     shutil.copytree(home / "street", tmp_path / "street")
     for path in sorted(tmp_path.glob("street/**/oxts/data/*.txt"))[6:]:
@@ -307,10 +345,10 @@ def test_a_run_finds_its_drive_again(
     shutil.copytree(home / "street", "street")
     assert nerf("fit", "street", "--frames", "0:2", "--steps", 1, "--rays", 64, "--run", "runs/a") == 0
     (tmp_path / "street").rename("moved")
-    assert "has the drive moved? Name it: --data" in refused(capsys, "export", "runs/a")
+    assert "has the drive moved? Name it: --data" in refused(capsys, "eval", "runs/a")
     assert "is not the drive of" in refused(capsys, "export", "runs/a", "--frames", "0:2", "--data", another_street())
     assert nerf("export", "runs/a", "--frames", "0:1", "--data", "moved") == 0
-    assert nerf("export", "runs/a", "--frames", "0:1") == 0
+    assert len(open_run(Path("runs/a")).drive) == 10, "the run knows the new place"
 
 
 def another_street() -> Path:

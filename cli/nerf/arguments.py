@@ -21,7 +21,7 @@ RUNS = Path("runs")
 class RunArguments(ThreadArguments):
     """Which run, and which of its drive's frames."""
 
-    run: Annotated[Path | None, tyro.conf.Positional] = None
+    run: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[RUN]")] = None
     """The run's folder; default: the only one in runs/."""
     frames: str | None = None
     """Range of frames, a:b; default: the run's."""

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from cli.arguments import Device, ThreadArguments, parse
-from cli.console import DATA_ERROR, err, out
+from cli.console import DATA_ERROR, busy, err, out
 from cli.nerf.arguments import open_moved
 from cli.written import expect_file, expect_folder
 from eval import lpips, typeset
@@ -56,7 +56,7 @@ class LpipsArguments:
 class ReportArguments(ThreadArguments):
     """Arguments of `nerf eval`."""
 
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("runs"),)
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (Path("runs"),)
     """Runs' folders, or folders that hold runs; default: all of runs/."""
     data: Path | None = None
     """Where the runs' drive is now, if it has moved."""
@@ -89,15 +89,17 @@ def _score(args: ReportArguments, command: str) -> int:
     tables = print_tables(runs, reports)
     for path in args.save:
         if path.suffix == SUFFIX:
-            story_page(scored_fields(runs, reports, Sample()), [], command, Sample().room).write(path)
+            with busy("page"):
+                story_page(scored_fields(runs, reports, Sample()), [], command, Sample().room).write(path)
         else:
             write_bytes(path, "\n".join(map(WRITERS[path.suffix], tables)).encode())
         out.print(f"wrote {path}")
     if args.pictures is not None:
         count = 0
-        for id_, image in _compared(runs):
-            codecs.write_image(args.pictures / f"{id_}.jpg", image, 90)
-            count += 1
+        with busy("pictures"):
+            for id_, image in _compared(runs):
+                codecs.write_image(args.pictures / f"{id_}.jpg", image, 90)
+                count += 1
         out.print(f"wrote {count} pictures to {args.pictures}")
     return DATA_ERROR if len(runs) < len(folders) else 0
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 from cli.arguments import Device, DriveArguments, ThreadArguments, parse
-from cli.console import err, fit_progress, out, progress
+from cli.console import busy, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
 from nerf import checkpoint, fields, origin
@@ -99,7 +99,8 @@ def run(arguments: list[str]) -> int:
 def _fit(args: FitArguments, typed: list[str]) -> int:
     if args.prior is None and not fields.is_trained(args.field):
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
-    drive, prior = open_sources(args, args.prior, typed)
+    with busy("looking at the drive and its priors"):
+        drive, prior = open_sources(args, args.prior, typed)
     this_run = begin(drive, prior, args.scene(), args.config(), args.run, progress)
     with this_run.held():
         return _fit_and_score(args, this_run)

@@ -8,7 +8,7 @@ from typing import Annotated
 import tyro
 
 from cli.arguments import Device, ThreadArguments, parse
-from cli.console import DATA_ERROR, err, out
+from cli.console import DATA_ERROR, busy, err, out
 from cli.nerf.eval import LpipsArguments, report_runs, scored_fields
 from cli.priors import report as priors_report
 from cli.priors.report import check_page
@@ -34,7 +34,7 @@ examples:
 class StoryArguments(ThreadArguments):
     """Arguments of `nerf report`."""
 
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("runs"),)
+    runs: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[RUN ...]")] = (Path("runs"),)
     """Runs' folders, or folders that hold runs; default: all of runs/."""
     cache: tuple[Path, ...] = ()
     """Also show the priors of these caches, or drives' or priors' folders."""
@@ -66,18 +66,22 @@ def run(arguments: list[str]) -> int:
 def _write(args: StoryArguments, command: str) -> int:
     folders = find_all(args.runs)
     runs, reports = report_runs(folders, args.data, args.device, args.lpips.open())
-    fields = scored_fields(runs, reports, args.sample)
+    with busy("pictures for the page"):
+        fields = scored_fields(runs, reports, args.sample)
     priors: list[DriveScores] = []
+    whole = len(runs) == len(folders)
     if args.cache:
         asked = priors_report.ReportArguments(args.cache, args.out, data=args.data, sample=args.sample)
-        priors = priors_report.score_caches(asked)
+        priors, all_scored = priors_report.score_caches(asked)
+        whole &= all_scored
     write_story(story_page(fields, priors, command, args.sample.room), args.out, (fields, priors), args.sample)
-    return DATA_ERROR if len(runs) < len(folders) else 0
+    return 0 if whole else DATA_ERROR
 
 
 def write_story(page: Page, path: Path, shown: tuple[list[FieldScores], list[DriveScores]], sample: Sample) -> None:
     """Write a page, and say how large it is and what it had no room for."""
-    page.write(path)
+    with busy("page"):
+        page.write(path)
     fields, priors = fitting(*shown, sample.room)
     wanted = [each.wipe for each in shown[1]] + [each.wipe for each in shown[0]]
     kept = [each.wipe for each in priors] + [each.wipe for each in fields]

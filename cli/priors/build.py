@@ -13,7 +13,7 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cli.arguments import DriveArguments, ThreadArguments, parse
-from cli.console import DATA_ERROR, err, out, progress
+from cli.console import DATA_ERROR, busy, err, out, progress
 from priors import build, methods
 from priors.advice import advise_method
 from priors.build import BuildReport, Job, Plan
@@ -75,22 +75,28 @@ def run(arguments: list[str]) -> int:
 def _build(args: BuildArguments, typed: list[str]) -> int:
     if args.method not in (None, "auto"):
         _refuse_idle_flags(str(args.method), typed)
-    drive = args.open(["priors", "build", *typed])
-    indices = select(drive.ids, args.selection.frames)  # wrong frames are told before anything is compiled
-    method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
-    job = build.prepare(drive, args.settings(method), args.filters, args.cache)
-    _tell_of_other_poses(job)
-    plan = job.plan(args.selection)
+    with busy("looking at the drive"):
+        job, plan = _prepare(args, typed)
     if args.dry_run:
         _print_plan(job, plan)
         return 0
-    with progress(method, len(plan.todo)) as step:
+    with progress(job.method.name, len(plan.todo)) as step:
         report = job.run(plan, args.workers, step, _note)
     for frame_id, error in sorted(report.failed.items()):
         err.complain(error, f"frame {frame_id}")
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0
+
+
+def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
+    """Open the drive, decide what is left open, and find out what is to be computed."""
+    drive = args.open(["priors", "build", *typed])
+    indices = select(drive.ids, args.selection.frames)  # wrong frames are told before anything is compiled
+    method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
+    job = build.prepare(drive, args.settings(method), args.filters, args.cache)
+    _tell_of_other_poses(job)
+    return job, job.plan(args.selection)
 
 
 def _tell_of_other_poses(job: Job) -> None:

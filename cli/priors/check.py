@@ -34,7 +34,8 @@ def run(arguments: list[str]) -> int:
     args = parse(DriveArguments, "priors check", EXAMPLES, arguments)
     if args.data is not None and holds_priors(args.data) and not fitting_data_sets(args.data):
         return check_cache(args.data)
-    drive = args.open(["priors", "check", *arguments])
+    with busy("opening the drive"):
+        drive = args.open(["priors", "check", *arguments])
     with nullcontext() if err.moves else busy("auditing"):  # in a pipe, what is done in two seconds is not told
         findings = check(drive, progress=progress if err.moves else silent)
     for finding in findings:

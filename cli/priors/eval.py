@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 import tyro
 
 from cli.arguments import by_drive, drive_names, parse, reopen_drive
-from cli.console import DATA_ERROR, err, out, progress
+from cli.console import DATA_ERROR, busy, err, out, progress
 from cli.mistakes import nearest
 from cli.written import expect_file
 from eval import table
@@ -50,7 +50,7 @@ STUDY_SHARE = 0.9228
 class ScoreArguments:
     """Arguments of `priors eval`."""
 
-    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE ...]")] = (Path("cache"),)
     """Caches, drives' or priors' folders, or metrics.json files of earlier runs."""
     protocol: Literal[*PRESETS] = "paper"  # type: ignore[valid-type]
     """Which pixels count and how; docs/metrics.md has the definitions."""
@@ -121,14 +121,16 @@ class Output:
         if self.args.curves is not None and scored.curves:
             path = self._place(self.args.curves, scored.drive)
             plots = [plot for name, drawn in scored.curves.items() for plot in sparsification(name, drawn)]
-            lines.write(path, plots, max(map(len, scored.curves.values())))
+            with busy("plots"):
+                lines.write(path, plots, max(map(len, scored.curves.values())))
             out.print(f"wrote {path}")
 
     def save(self, drives: Sequence[DriveScores]) -> None:
         """Write one file of each format that was asked for, with the tables of all drives."""
         for path in self.args.save:
             if path.suffix == SUFFIX:
-                scores_page(drives, self.args.keys, self.command, Sample().room).write(path)
+                with busy("page"):
+                    scores_page(drives, self.args.keys, self.command, Sample().room).write(path)
             else:
                 table.save([(scored.drive, scored.results) for scored in drives], path, self.args.keys)
             out.print(f"wrote {path}")
@@ -147,7 +149,7 @@ def run(arguments: list[str]) -> int:
     args.expect_writable()
     loaded = _load([path for path in args.caches if path.suffix == ".json"])
     refused: list[DataError] = []
-    drives = by_drive([prior for path in args.caches if path.suffix != ".json" for prior in _with_maps(path, refused)])
+    drives = by_drive([prior for path in args.caches if path.suffix != ".json" for prior in with_maps(path, refused)])
     output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + len(loaded) > 1)
     for results in loaded:
         output.show(results)
@@ -169,7 +171,7 @@ def _load(files: Sequence[Path]) -> list[DriveScores]:
     return list(drives.values())
 
 
-def _with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
+def with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
     """Return the priors at path that have maps; those that have none yet are named, those that cannot be read kept."""
     priors = cache.find(path, refused.append)
     for prior in priors:
@@ -195,7 +197,8 @@ def _try_drive(priors: list[Prior], name: str, output: Output) -> DriveScores | 
 
 def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments) -> DriveScores:
     """Score the priors of one drive; one that cannot be scored is left out. DataError where none can."""
-    drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
+    with busy("opening the drive"):
+        drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
     scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive_name)
     for name in names:
         try:
@@ -206,12 +209,15 @@ def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments) -> 
             scored.left_out[name] = str(error)
             continue
         if one.pixels is not None:
-            out.print(f"{name}: {_best_share(one)}")
+            with busy(f"best pixels of {name}"):
+                best = _best_share(one)
+            out.print(f"{name}: {best}")
             out.print(f"{name}: {_areas(scored.curves[name])}")
     if not scored.results:
         raise DataError(f"none of its {len(names)} priors can be scored, the first: {scored.left_out[names[0]]}")
     if args.page:
-        wipe = frames_wipe(drive, scored.priors, scored.results, Sample(), args.frames)
+        with busy("pictures for the page"):
+            wipe = frames_wipe(drive, scored.priors, scored.results, Sample(), args.frames)
         scored = replace(scored, wipe=wipe)
     return scored
 
@@ -227,7 +233,8 @@ def score_prior(scored: DriveScores, name: str, drive: Drive, args: ScoreArgumen
     if one.unsaved is not None:
         scored.left_out[f"{name}, metrics.json"] = one.unsaved
     if one.pixels is not None:
-        scored.curves[name] = one.curves()
+        with busy(f"sparsification curves of {name}"):
+            scored.curves[name] = one.curves()
     return one
 
 

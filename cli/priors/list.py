@@ -28,7 +28,7 @@ examples:
 class ListArguments:
     """Arguments of `priors list`."""
 
-    path: Annotated[Path, tyro.conf.Positional] = Path("cache")
+    path: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE]")] = Path("cache")
     """The cache, or a folder in it."""
 
 

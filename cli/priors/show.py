@@ -28,7 +28,7 @@ examples:
 class ShowArguments:
     """Arguments of `priors show`."""
 
-    caches: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("cache"),)
+    caches: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE ...]")] = (Path("cache"),)
     """Caches, or drives' or priors' folders."""
     out: Path = Path("pictures")
     """Folder for the pictures: <out>/<drive>/<frame>.jpg."""

@@ -27,7 +27,7 @@ LARGEST_SIDE_PX = 16384
 class StreetArguments:
     """Arguments of `priors street`."""
 
-    out: Annotated[Path, tyro.conf.Positional]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """Folder to write into; frames that are there are kept."""
     frames: int = 40
     """How many frames, at 10 Hz."""

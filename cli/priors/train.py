@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from cli.arguments import Device, parse
-from cli.console import err, out, progress, train_progress
+from cli.console import busy, err, out, progress, train_progress
 from cli.mistakes import nearest
 from priors.errors import UsageError, expect_between
 from priors.learn.config import TrainConfig
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill) and goes on with the same command.
 
+examples:
   priors train samples samples/ --count 4800            synthetic pairs with exact truth; --part 1/2 for two machines
   priors train stereo runs/cfnet-s --street samples/ --net cfnet --size s --minutes 90
   priors train stereo runs/cfnet-s --street samples/ --real DATA --minutes 240
@@ -36,7 +37,7 @@ EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill
 class SamplesArguments:
     """Arguments of `priors train samples`."""
 
-    out: Annotated[Path, tyro.conf.Positional]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """Folder to write samples into; what is there is kept."""
     count: int = 4800
     """Samples the folder is to hold, 1.3 MB each."""
@@ -52,7 +53,7 @@ class SamplesArguments:
 class RunArguments:
     """What training any network takes."""
 
-    out: Annotated[Path, tyro.conf.Positional]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """The run's folder: checkpoint, log.jsonl, pictures/. A run that is there goes on."""
     street: Path = Path("samples")
     """Folder of `priors train samples`."""
@@ -89,9 +90,9 @@ class StereoArguments(RunArguments):
 class PackArguments:
     """Arguments of `priors train pack`."""
 
-    run: Annotated[Path, tyro.conf.Positional]
+    run: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RUN")]
     """Folder of a training run."""
-    out: Annotated[Path, tyro.conf.Positional]
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """File to write: .safetensors."""
 
 
@@ -99,7 +100,7 @@ class PackArguments:
 class CalibrateArguments:
     """Arguments of `priors train calibrate`."""
 
-    file: Annotated[Path, tyro.conf.Positional]
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """Weights of a stereo network; their header is rewritten."""
     street: Path = Path("samples")
     """Folder of `priors train samples`."""
@@ -168,11 +169,13 @@ def started_from(args: RunArguments) -> str | None:
     return about_run(args.out).get("start") if args.start is None else args.start.name
 
 
-def train_network(args: RunArguments, task: "Task", net: str) -> None:
+def train_network(args: Any, make_task: Callable[[Any], "Task"], net: str) -> None:
     """Train and tell how to use the result."""
     from priors.learn.loop import train
     from priors.nets import weights
 
+    with busy("reading the training data"):
+        task = make_task(args)
     if args.start is not None:
         err.print(f"{weights.take(task.net, args.start)} tensors taken from {args.start}")
     about = {"net": net, "size": args.size, "start": started_from(args)}
@@ -196,15 +199,17 @@ def calibrate(args: CalibrateArguments) -> None:
     from priors.learn.confidence_calibration import calibrate_file
     from priors.learn.stereo_data import Folders
 
-    for line in calibrate_file(args.file, Folders(args.street, args.real, args.cache)):
+    with busy("calibrating"):
+        lines = calibrate_file(args.file, Folders(args.street, args.real, args.cache))
+    for line in lines:
         out.print(line)
 
 
 KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
     "samples": (SamplesArguments, render_samples),
-    "stereo": (StereoArguments, lambda args: train_network(args, stereo_task(args), args.net)),
-    "completion": (RunArguments, lambda args: train_network(args, completion_task(args), "mffnet")),
-    "mono": (RunArguments, lambda args: train_network(args, mono_task(args), "bts")),
+    "stereo": (StereoArguments, lambda args: train_network(args, stereo_task, args.net)),
+    "completion": (RunArguments, lambda args: train_network(args, completion_task, "mffnet")),
+    "mono": (RunArguments, lambda args: train_network(args, mono_task, "bts")),
     "pack": (PackArguments, pack),
     "calibrate": (CalibrateArguments, calibrate),
 }

@@ -34,7 +34,7 @@ CACHE = Path("cache")
 class ViewArguments(AddressArguments):
     """Arguments of `priors view`."""
 
-    what: Annotated[Path | None, tyro.conf.Positional] = None
+    what: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="[CACHE|DATA]")] = None
     """A cache, a drive's or a prior's folder in it, or DATA, a drive's own folder; default: cache/ where there is one,
     else the drive here."""
     frames: str | None = None

@@ -43,8 +43,9 @@ class Forecast:
 
     def __str__(self) -> str:
         if not self.left:
-            return f"all {self.fits} fits are done"
-        left = f"{self.left} of {self.fits} fits" if self.left < self.fits else f"{self.fits} fits"
+            return "no fit is left to do"
+        fits = f"{self.fits} fit{'s' * (self.fits > 1)}"
+        left = fits if self.left == self.fits else f"{self.left} of {fits}"
         return f"{left}: {self.training_s / 60:.1f} min of training, about {self.scoring_s / 60:.1f} min of scoring"
 
 

@@ -1,13 +1,12 @@
 """Stage: what a run's view has beside the field - its drive's cameras, and its prior's points where they are there."""
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
 
-from nerf.run import SCENES, Run
+from nerf.run import Run
 from nerf.split import split
 from priors import cache
 from priors.cache import Prior
@@ -59,7 +58,7 @@ def open_stage(run: Run, frames: str | None = None, most_points: int = MOST_POIN
         indices = select(drive.ids, run.config.frames)
         posed = {index for index in indices if drive[index].T_world_cam is not None}
     except (DataError, OSError) as error:
-        return _without_drive(run, f"the drive cannot be opened: {error}")
+        return _without_drive(run, frames, f"the drive cannot be opened: {error}")
     wanted = set(select(drive.ids, frames)) & posed
     if not wanted:
         return _start(f"{drive.name}: none of these frames has a pose")
@@ -79,24 +78,16 @@ def _prior(run: Run) -> tuple[dict[str, Prior], tuple[str, ...]]:
         return {}, (f"the prior cannot be opened: {error}",)
 
 
-def _without_drive(run: Run, reason: str) -> Stage:
-    """Take the cameras that were copied when the run's scene was prepared, where there is no doubt which they are."""
-    name = Path(str(run.config.drive.get("path", ""))).name
-    found = sorted((run.folder.parent / SCENES).glob("*/frames.json"))
-    records = [path for path in found if name and path.parent.name.startswith(name)]
-    if len(records) != 1:
+def _without_drive(run: Run, frames: str | None, reason: str) -> Stage:
+    """Take the cameras that the run kept, where it did."""
+    views = run.kept_cameras()
+    if views is None:
         return _start(reason)
-    try:
-        record = json.loads(records[0].read_text(encoding="utf-8"))
-        poses = [np.array(pose, dtype=np.float64).reshape(4, 4) for pose in record["T_world_cam"]]
-        camera = Camera(np.array(record["K"], dtype=np.float64).reshape(3, 3), tuple(record["size"]))
-        ids = [str(id_) for id_ in record["ids"]]
-        parts = _parts(len(ids), run.config.views)
-    except (ValueError, KeyError, TypeError, OSError, DataError):
-        return _start(reason)
-    if not poses or len(poses) != len(ids):
-        return _start(reason)
-    return Stage(camera, Track(ids, list(poses), poses[0][:3, 3].copy(), True), parts, None, (reason,))
+    parts = dict(zip(views.ids, _parts(len(views.ids), run.config.views), strict=True))
+    shown = views.only(frames)
+    poses = list(shown.T_world_cam)
+    track = Track(shown.ids, poses, poses[0][:3, 3].copy(), True)
+    return Stage(shown.camera, track, [parts[id_] for id_ in shown.ids], None, (reason,))
 
 
 def _start(reason: str) -> Stage:
