@@ -50,7 +50,9 @@ class Pairs:
                 truth = self.drive[places[id_]].truth() if self.against is None else self.against.read(id_)
                 if depth.depth_m.shape != truth.depth_m.shape:
                     shapes = f"the map is {depth.depth_m.shape}, the truth {truth.depth_m.shape}"
-                    raise DataError(f"{self.prior.depth_path(id_)}: {shapes}: build it again")
+                    raise DataError(
+                        f"{self.prior.depth_path(id_)}: {shapes}: take other truth (--truth), or build again"
+                    )
             except DataError as error:
                 self.left_out[id_] = str(error)
                 continue

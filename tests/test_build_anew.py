@@ -321,11 +321,13 @@ def test_claims_of_killed_builds_are_cleared(tmp_path: Path) -> None:
     line = Line(3)
     one = job(line, tmp_path, Plane())
     dead = one.prior.folder / "claims" / line.ids[1]
-    dead.parent.mkdir(parents=True)
-    dead.write_text("{")
-    os.utime(dead, (0, 0))
-    assert len(one.run().built) == 3
-    assert not dead.parent.exists()
+    dead.parent.parent.mkdir(parents=True)
+    for count in (3, 0):
+        dead.parent.mkdir(exist_ok=True)
+        dead.write_text("{")
+        os.utime(dead, (0, 0))
+        assert len(one.run().built) == count
+        assert not dead.parent.exists()
 
 
 def test_drives_of_one_name_are_told_apart(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

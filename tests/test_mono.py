@@ -1,5 +1,6 @@
 """Mono: the focal convention, planes, what may take part in adapting, and hard inputs."""
 
+import threading
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from priors.errors import DataError
 from priors.methods._reference import READS
 from priors.methods.mono import Mono
 from priors.nets import bts, weights
+from priors.owner import claim
 from priors.types import Camera, Depth, Frame
 
 HEIGHT_M = 1.65
@@ -276,6 +278,20 @@ def test_adapting_reads_no_held_out_frame_and_is_kept(
     np.testing.assert_array_equal(first.depth_m, again.depth_m)
     with pytest.raises(DataError, match="prepare"):
         method(drive[3])
+    (weights,) = (tmp_path / "weights").iterdir()
+    weights.rename(tmp_path / "not yet")
+    held = claim.take(weights.with_suffix(".claim"))
+    assert held is not None
+
+    def finish() -> None:
+        (tmp_path / "not yet").rename(weights)
+        held.release()
+
+    threading.Timer(0.1, finish).start()
+    notes.clear()
+    method.prepare(drive, weights.parent, notes.append)
+    assert "waiting" in notes[0] and "before" in notes[1], "another build's are taken"
+    assert list(weights.parent.iterdir()) == [weights]
 
 
 def test_what_a_drive_lacks_is_said(file: Path, tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 
 from priors import cache
 from priors.build.plan import Judge, Plan, make_plan
-from priors.build.work import Work
+from priors.build.work import CLAIMS, Work, tidy
 from priors.cache import Prior
 from priors.cache.places import follow
 from priors.errors import DataError, expect
@@ -84,6 +84,7 @@ class Job:
             if self.prior.ids() and self._manifest_is_old():
                 cache.create(self.prior.folder, self.prior.manifest)
                 follow(self.prior)
+            tidy(self.prior.folder / CLAIMS)
             return BuildReport(self.prior, plan, failed=dict(plan.failed))
         for note in self.method.notes():
             on_note(note)

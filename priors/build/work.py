@@ -19,6 +19,7 @@ from priors.errors import DataError
 from priors.owner import claim
 from priors.types import Depth, Drive, Frame
 
+CLAIMS = "claims"
 POLL_S = 0.3
 """How often to look whether another build has finished a frame."""
 
@@ -45,22 +46,22 @@ class Work:
     @property
     def claims(self) -> Path:
         """Return the folder of the prior's claims, a file for each frame in hand."""
-        return self.prior.folder / "claims"
+        return self.prior.folder / CLAIMS
 
     def do(self, indices: Sequence[int], workers: int, on_note: Callable[[str], None]) -> None:
         """Compute frames; returns when each is done or has failed, here or elsewhere."""
-        told = False
+        rounds = 0
         while indices:
             _run_each(self._do_one, indices, workers)
-            waiting, self._in_other_hands = self._in_other_hands, []
-            if waiting and not told:
-                owner = claim.owner_of(self.claims / self.drive.ids[waiting[0]]) or "another build"
-                on_note(f"waiting for {_frames(len(waiting))} that {owner} has in hand")
-                told = True
-            if waiting:
-                time.sleep(POLL_S)
-            indices = waiting
-        self._tidy()
+            indices, self._in_other_hands = self._in_other_hands, []
+            rounds += 1
+            if not indices or rounds == 1:  # most of those that were in hand are done by now
+                continue
+            if rounds == 2:
+                owner = claim.owner_of(self.claims / self.drive.ids[indices[0]]) or "another build"
+                on_note(f"waiting for {_frames(len(indices))} that {owner} has in hand")
+            time.sleep(POLL_S)
+        tidy(self.claims)
 
     def _do_one(self, index: int) -> None:
         frame_id = self.drive.ids[index]
@@ -87,13 +88,14 @@ class Work:
         sources = watched.sources(self.judge.digests)
         self.built.append(self.prior.write(frame.id, depth, seconds, sources))
 
-    def _tidy(self) -> None:
-        """Delete the claims of builds that were killed, and the folder where no other build has a frame in hand."""
-        for path in self.claims.glob("[!.]*"):
+
+def tidy(claims: Path) -> None:
+    """Delete the claims of builds that were killed, and their folder where no other build has a frame in hand."""
+    with suppress(OSError):  # a cache that cannot be written keeps them
+        for path in claims.glob("[!.]*"):
             if claim.is_dead(path) and (dead := claim.take(path)):
                 dead.release()
-        with suppress(OSError):
-            self.claims.rmdir()
+        claims.rmdir()
 
 
 def _frames(count: int) -> str:

@@ -1,6 +1,8 @@
 """Our single-image network: run on a frame, and adapted to a drive."""
 
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,6 +16,7 @@ from priors.methods._mono_estimator import Prediction
 from priors.methods._mono_supervision import PlannedSupervision
 from priors.methods._network import Network
 from priors.nets import runtime, weights
+from priors.owner import claim
 from priors.records import original, record
 from priors.types import Camera, Drive, Image
 
@@ -21,6 +24,8 @@ if TYPE_CHECKING:  # onnxruntime's half is loaded where it is asked for
     from priors.nets.graphs import Portable
     from priors.nets.runtime import Ready
 
+POLL_S = 0.3
+"""How often to look whether another build has adapted the weights."""
 VERSION = 1
 """Of how adapting works: part of the adapted weights' key."""
 
@@ -61,16 +66,33 @@ def adapted_weights(
         "config": original(AdaptConfig, record(config)),
     }
     path = folder / f"mono-{key_of(decides)}.safetensors"
-    if path.is_file():
-        on_note(f"mono: weights adapted before: {path}")
-        return path
-    adapted = _adapt(planned, network, config, on_note)
-    if not all(bool(torch.isfinite(p).all()) for p in adapted.parameters()):
-        raise DataError("mono: adapting diverged: choose --mono.adapt none, or other frames")
-    if not path.is_file():  # another machine of this build may have been faster: all use the same
+    with _in_hand(path, on_note):
+        if path.is_file():
+            on_note(f"mono: weights adapted before: {path}")
+            return path
+        adapted = _adapt(planned, network, config, on_note)
+        if not all(bool(torch.isfinite(p).all()) for p in adapted.parameters()):
+            raise DataError("mono: adapting diverged: choose --mono.adapt none, or other frames")
         adapting = {name: value for name, value in decides.items() if name != "known"}
         weights.write(path, adapted, {"net": network.model, "size": network.size, "adapted": adapting})
     return path
+
+
+@contextmanager
+def _in_hand(path: Path, on_note: Callable[[str], None]) -> Iterator[None]:
+    """Let one build at a time adapt weights; the others wait for its file, or for its end."""
+    if path.is_file():  # nothing to be claimed, perhaps in a cache that cannot be written
+        yield
+        return
+    claimed = path.with_suffix(".claim")
+    held = claim.take(claimed)
+    if held is None:
+        on_note(f"mono: {claim.owner_of(claimed) or 'another build'} adapts these weights: waiting for them")
+    while held is None:
+        time.sleep(POLL_S)
+        held = claim.take(claimed)
+    with held:
+        yield
 
 
 def _adapt(
