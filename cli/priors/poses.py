@@ -11,7 +11,7 @@ from priors.drives import CACHE
 from priors.egomotion.make import make
 from priors.egomotion.sight import open_eyes
 from priors.errors import UsageError
-from priors.selection import select
+from priors.selection import parse_range, select
 
 EXAMPLES = """Refine a drive's poses by the motion that its stereo pairs, or its LiDAR and images, see between frames,
 fused with its own poses so that the path does not drift. Other commands take them by --poses refined. Every 10th frame,
@@ -40,6 +40,7 @@ class PosesArguments(ThreadArguments, DriveArguments):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        parse_range(self.frames)
         if self.part.poses == "refined":
             raise UsageError("--poses refined: these are made here: expected auto, recorded or dead-reckoned")
 
