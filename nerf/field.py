@@ -57,6 +57,7 @@ class Field:
         self.mlp = MLP(config.mlp, config.grid.levels, self.device, generator, kernels)
         self._block = kernels.SAMPLES_MULTIPLE
         self._forward: _Forward | None = None
+        self._seen: tuple[Tensor, Tensor] | None = None
 
     def forward(self, samples: Samples, units: Tensor, footprint: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Return density (m,), 1/m, and colour (m, 3) of samples on rays with unit directions (r, 3).
@@ -66,14 +67,19 @@ class Field:
         u, table, footprint = self._padded(samples.u, samples.table, footprint)
         ray = _pad(samples.ray, len(u))
         features = self.grid.encode(u, table, footprint)
-        basis = harmonics(units)
+        basis = self._basis(units)
         sigma, rgb = self.mlp.shade(features, basis, ray)
         self._forward = _Forward(u, table, footprint, features, ray, basis, len(samples.u))
         return sigma[: len(samples.u)], rgb[: len(samples.u)]
 
-    def backward(self, d_sigma: Tensor, d_rgb: Tensor) -> None:
-        """Set all gradients from those of the last `forward`'s results: (m,) and (m, 3)."""
+    def backward(self, d_sigma: Tensor, d_rgb: Tensor, kept: Tensor | None = None) -> None:
+        """Set all gradients from those of the last `forward`'s results: (m,) and (m, 3).
+
+        `kept` (k,): places of the samples that count; None: all. The others have no gradient, and cost nothing.
+        """
         last = self._last(d_sigma)
+        if kept is not None:
+            last, d_sigma, d_rgb = self._part(last, kept), d_sigma[kept], d_rgb[kept]
         if last.ray is None or last.harmonics is None:
             raise RuntimeError("backward after density: use density_backward")
         d_sigma, d_rgb = _pad(d_sigma, len(last.u)), _pad(d_rgb, len(last.u))
@@ -112,9 +118,28 @@ class Field:
             raise RuntimeError("backward without the forward pass it belongs to")
         return self._forward
 
+    def _basis(self, units: Tensor) -> Tensor:
+        """Return the harmonics (r, 16) of directions (r, 3); those of the last call where it had the same tensor."""
+        if self._seen is None or self._seen[0] is not units:
+            self._seen = units, harmonics(units)
+        return self._seen[1]
+
+    def _part(self, last: _Forward, kept: Tensor) -> _Forward:
+        """Return what the backward pass needs of some samples (k,), padded."""
+        count = len(kept)
+        kept = _pad(kept, self._blocks(count))
+        footprint = None if last.footprint is None else last.footprint[kept]
+        ray = None if last.ray is None else last.ray[kept]
+        u, features = last.u.T.index_select(1, kept).T, last.features.index_select(1, kept)
+        return _Forward(u, last.table[kept], footprint, features, ray, last.harmonics, count)
+
+    def _blocks(self, count: int) -> int:
+        """Round a number of samples up to whole blocks of the kernels."""
+        return -(-max(count, 1) // self._block) * self._block
+
     def _padded(self, u: Tensor, table: Tensor, footprint: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
         """Fill up to a multiple of the kernels' block."""
-        count = -(-len(u) // self._block) * self._block
+        count = self._blocks(len(u))
         return _pad(u, count), _pad(table, count), None if footprint is None else _pad(footprint, count)
 
 

@@ -16,8 +16,9 @@ prior's standard deviation (metres, max(sigma_floor_m, sigma_share * d)):
 """
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor
@@ -27,6 +28,10 @@ from nerf.types import Gradients, Rays, Rendered, Samples, Target
 from priors.errors import expect, expect_choices
 
 DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
+
+
+SOFT = 0.05
+"""Added to the transmittance whose logarithm says how opaque the sky is."""
 
 
 def _flag(name: str) -> str:
@@ -55,10 +60,14 @@ class LossConfig:
     """Weight of mip-NeRF 360's distortion loss."""
     opacity: float = 0.02
     """Weight of the light that passes rays where the prior has a surface."""
+    sky_opacity: float = 0.001
+    """Weight of what stops the light of rays into the sky, where there is a prior; 0: the sky may be solid."""
+
+    BEFORE: ClassVar[Mapping[str, Any]] = {"sky_opacity": 0.0}
 
     def __post_init__(self) -> None:
         expect_choices(self, "")
-        for name in ("depth_weight", "sigma_share", "distortion", "opacity"):
+        for name in ("depth_weight", "sigma_share", "distortion", "opacity", "sky_opacity"):
             value = getattr(self, name)
             expect(0 <= value < math.inf, _flag(name), value, "0 or more")
         for name in ("unit_m", "sigma_floor_m"):
@@ -72,11 +81,13 @@ class Losses:
     """The batch's losses, reduced, and what to do about them."""
 
     terms: dict[str, Tensor]
-    """Reduced, unweighted: rgb, depth, distortion, opacity."""
+    """Reduced, unweighted: rgb, depth, distortion, opacity, sky."""
     total: Tensor
     gradients: Gradients
     samples: int
     """How many samples the batch had."""
+    each: Tensor
+    """(r,) what colour and depth add to the loss of each ray, weighted."""
 
 
 def losses(
@@ -96,21 +107,23 @@ def losses(
         raise ValueError("rays without colours cannot be trained on")
     kernels = kernels or kernels_for(sigma.device).render
     gradients = Gradients.zeros(rendered)
-    off = rendered.rgb - rays.rgb
-    gradients.rgb.copy_(2 / off.numel() * off)
-    terms = {"rgb": (off * off).mean()}
+    terms, each = {}, torch.zeros_like(rendered.depth_m)
+    terms["rgb"] = _colour(rays, rendered, gradients, each)
     weight = prior_weight(config, rays)
     if weight is not None and config.loss != "none":
         prior_m = torch.where(weight > 0, rays.depth_m, 0.0)  # type: ignore[arg-type]
         deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
         target = Target(rays.norms, prior_m, deviation_m)
         term = _DepthTerm(config, samples, target, sigma, rendered, kernels)
-        terms["depth"] = _depth(term, weight, gradients)
-    terms["opacity"] = _opacity(config, samples, weight, rendered, gradients)
-    terms["distortion"] = _distortion(config, samples, rendered, gradients, kernels)
+        terms["depth"] = _depth(term, weight if rays.share is None else weight * rays.share, gradients, each)
+    terms["opacity"] = _opacity(config, _share(rays, _stopping(samples, weight)), rendered, gradients)
+    if rays.sky is not None and config.sky_opacity > 0:
+        terms["sky"] = _sky(config, _share(rays, rays.sky), rendered, gradients)
+    terms["distortion"] = _distortion(config, samples, rays, rendered, (gradients, kernels))
     scales = {"rgb": 1.0, "depth": config.depth_weight, "opacity": config.opacity, "distortion": config.distortion}
+    scales["sky"] = config.sky_opacity
     total = torch.stack([scales[name] * value for name, value in terms.items()]).sum()
-    return Losses(terms, total, gradients, samples.used)
+    return Losses(terms, total, gradients, samples.used, each)
 
 
 def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:
@@ -122,13 +135,27 @@ def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:
     return torch.where(valid, weight, 0.0)
 
 
-def _depth(term: "_DepthTerm", weight: Tensor, gradients: Gradients) -> Tensor:
-    """Reduce the depth loss and add its gradients."""
+def _colour(rays: Rays, rendered: Rendered, gradients: Gradients, each: Tensor) -> Tensor:
+    """Reduce the squared colour errors, set their gradients, and add each ray's to `each`."""
+    assert rays.rgb is not None
+    off = rendered.rgb - rays.rgb
+    each += (off * off).mean(1)
+    if rays.share is None:
+        gradients.rgb.copy_(2 / off.numel() * off)
+        return (off * off).mean()
+    gradients.rgb.copy_(2 / 3 * rays.share[:, None] * off)
+    return (rays.share * each).sum()
+
+
+def _depth(term: "_DepthTerm", weight: Tensor, gradients: Gradients, each: Tensor) -> Tensor:
+    """Reduce the depth loss, add its gradients, and each ray's loss to `each`."""
     if term.config.trim > 0:
         values = term(torch.zeros_like(weight), Gradients.zeros(term.rendered))
         weight = trimmed(weight, values, term.config.trim)
     share = weight / weight.sum().clamp(min=1e-12)
-    return (share * term(term.config.depth_weight * share, gradients)).sum()
+    values = term(term.config.depth_weight * share, gradients)
+    each += term.config.depth_weight * values
+    return (share * values).sum()
 
 
 def trimmed(weight: Tensor, loss: Tensor, share: float) -> Tensor:
@@ -168,42 +195,65 @@ class _DepthTerm:
         return off * off + kernels.sight(self.samples, weights, target, scale, d_weights)
 
 
-def _opacity(
-    config: LossConfig, samples: Samples, weight: Tensor | None, rendered: Rendered, gradients: Gradients
-) -> Tensor:
-    """Reduce the light that passes rays which should stop it: those with a prior, or all where there is no prior.
+def _stopping(samples: Samples, weight: Tensor | None) -> Tensor:
+    """Return how much each ray should stop its light (r,): those with a prior, or all where there is no prior.
 
     A ray counts as much as its prior does, so that a guess in the sky does not make it solid; one without samples
-    cannot stop anything and does not count. The mean is over the rays that count.
+    cannot stop anything and does not count.
     """
     has_samples = samples.offsets[1:] > samples.offsets[:-1]
-    stops = has_samples.float() if weight is None else has_samples * weight
-    share = stops / (stops > 0).sum().clamp(min=1)
+    return has_samples.float() if weight is None else has_samples * weight
+
+
+def _share(rays: Rays, weight: Tensor) -> Tensor:
+    """Return the shares (r,) of weighted rays in a mean over those that count."""
+    if rays.share is None:
+        return weight / (weight > 0).sum().clamp(min=1)
+    return weight * rays.share / rays.share[weight > 0].sum().clamp(min=1e-12)
+
+
+def _opacity(config: LossConfig, share: Tensor, rendered: Rendered, gradients: Gradients) -> Tensor:
+    """Reduce the light that passes rays which should stop it."""
     gradients.transmittance.add_(config.opacity * share)
     return (share * rendered.transmittance).sum()
 
 
+def _sky(config: LossConfig, share: Tensor, rendered: Rendered, gradients: Gradients) -> Tensor:
+    """Reduce -log(T + SOFT) of rays into the sky: the cross entropy of their opacity with none, softened.
+
+    What is solid there is not pulled at harder than a share T / (T + SOFT) of its optical depth: a pole that the
+    sky's mask overlooks is held by its colours.
+    """
+    passed = rendered.transmittance + SOFT
+    gradients.transmittance.sub_(config.sky_opacity * share / passed)
+    return -(share * torch.log(passed)).sum()
+
+
 def _distortion(
-    config: LossConfig, samples: Samples, rendered: Rendered, gradients: Gradients, kernels: RenderKernels
+    config: LossConfig, samples: Samples, rays: Rays, rendered: Rendered, given: tuple[Gradients, RenderKernels]
 ) -> Tensor:
     """Reduce the distortion: the mean over the rays."""
+    gradients, kernels = given
+    share = mean_share(rays.share, samples)
+    values = kernels.distortion(samples, rendered.weights, config.distortion * share, gradients.weights)
+    return (share * values).sum() if rays.share is not None else values.sum() / max(1, len(share))
+
+
+def mean_share(share: Tensor | None, samples: Samples) -> Tensor:
+    """Return the share (r,) that each ray of a batch has in its mean."""
     rays = len(samples.offsets) - 1
-    scale = torch.full((rays,), config.distortion / max(1, rays), device=rendered.rgb.device)
-    values = kernels.distortion(samples, rendered.weights, scale, gradients.weights)
-    return values.sum() / max(1, rays)
+    return torch.full((rays,), 1 / max(1, rays), device=samples.t.device) if share is None else share
 
 
 def interlevel(
-    samples: Samples, rendered: Rendered, coarse: Samples, coarse_rendered: Rendered
+    samples: Samples, rendered: Rendered, coarse: Samples, coarse_rendered: Rendered, share: Tensor | None = None
 ) -> tuple[Tensor, Tensor]:
     """Ask a proposal's weights to bound the field's: the mean over rays, and its gradient by the weights (m,).
 
     sum max(0, w - what the coarse intervals that overlap hold)^2 / w (Barron et al., CVPR 2022, eq. 13); the field's
-    own weights are not moved by it.
+    own weights are not moved by it. `share` (r,): of the rays in the mean; None: 1 / r.
     """
-    rays = len(samples.offsets) - 1
-    device = rendered.rgb.device
-    scale = torch.full((rays,), 1 / max(1, rays), device=device)
-    kernels = kernels_for(device).render
+    scale = mean_share(share, samples)
+    kernels = kernels_for(rendered.rgb.device).render
     values, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
-    return values.sum() / max(1, rays), gradient
+    return (scale * values).sum(), gradient

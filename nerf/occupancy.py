@@ -5,8 +5,8 @@ Carving, before the first step, from what the training views know:
 1. A view votes for the cells within `reach` of its prior values, along their rays, and against those that it looks
    through. Cells with at least AGREED of the votes for them are kept, and so are their neighbours: one view's outlier
    does not fill the air that all others look through.
-2. A ray without a value and not among values in its image (sky, or above the scanner) says nothing: cells it passes
-   stay open, unless a view voted on them.
+2. A ray without a value and not among values in its image (above the scanner) says nothing: cells it passes stay
+   open, unless a view voted on them. A ray into the sky, where that is known, votes against all cells it passes.
 3. Everything else is empty, for good. A hole between values (LiDAR lines) opens nothing: neighbours and other views
    fill it.
 
@@ -35,6 +35,7 @@ from priors.geometry import rays as pixel_rays
 Density = Callable[[Tensor, Tensor], Tensor]
 Bytes = npt.NDArray[np.uint8]
 Mask = npt.NDArray[np.bool_]
+Pixels = npt.NDArray[np.int64]
 
 AGREED = 0.1
 """Share of the votes for a cell above which it is kept; a tenth: thin things are mostly looked past."""
@@ -85,9 +86,10 @@ class Occupancy:
         votes_for, votes_against = np.zeros(count, np.uint16), np.zeros(count, np.uint16)
         blindly = np.zeros(count, np.uint8)
         for position in scene.train:
-            with_value, blind = _thinned(scene, position, trust)
+            with_value, blind, sky = _thinned(scene, position, trust)
             votes_for += self._trace(scene, position, with_value, 1 - reach, 1 + reach)
             votes_against += self._trace(scene, position, with_value, 0, 1 - reach)
+            votes_against += self._trace(scene, position, sky, 0, np.inf)
             blindly |= self._trace(scene, position, blind, 0, np.inf)
         votes = votes_for + votes_against
         band = _dilated((votes_for >= np.float32(AGREED) * votes) & (votes_for > 0), resolution)
@@ -177,8 +179,8 @@ class Occupancy:
         return self._known[1]
 
 
-def _thinned(scene: Scene, position: int, trust: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return a view's pixels (flat) with a prior value and those beyond the prior's reach, both thinned.
+def _thinned(scene: Scene, position: int, trust: float) -> tuple[Pixels, Pixels, Pixels]:
+    """Return a view's pixels (flat) with a prior value, those beyond the prior's reach, and the sky's; all thinned.
 
     A hole between values is neither: it is within the closing of the values' mask.
     """
@@ -188,8 +190,10 @@ def _thinned(scene: Scene, position: int, trust: float) -> tuple[npt.NDArray[np.
     stride = max(1, round(scene.camera.fx / RAYS_PER_RADIAN))
     blind = np.zeros((height, width), bool)
     blind[::stride, ::stride] = True
+    sky = np.zeros_like(blind) if scene.sky is None else blind & (scene.sky[position] > 0)
+    blind &= ~sky
     if scene.depth_m is None:
-        return np.zeros(0, np.int64), np.flatnonzero(blind)
+        return np.zeros(0, np.int64), np.flatnonzero(blind), np.flatnonzero(sky)
     valid = (scene.depth_m[position] > 0) & np.isfinite(scene.depth_m[position])
     if scene.weight is not None:
         valid &= scene.weight[position] >= np.float32(255 * trust)
@@ -199,7 +203,8 @@ def _thinned(scene: Scene, position: int, trust: float) -> tuple[npt.NDArray[np.
         window = 2 * int(np.clip(np.ceil(2 / np.sqrt(valid.mean())), 2, 16)) + 1
         grown = maximum_filter(valid, window, mode="constant", cval=0)
         blind &= ~minimum_filter(grown, window, mode="constant", cval=1)
-    return with_value[:: max(1, len(with_value) * stride**2 // valid.size)], np.flatnonzero(blind)
+    thinned = with_value[:: max(1, len(with_value) * stride**2 // valid.size)]
+    return thinned, np.flatnonzero(blind), np.flatnonzero(sky)
 
 
 def _dilated(grid: Mask, resolution: int) -> Mask:

@@ -4,6 +4,7 @@
                          /frames.json        ids, camera, poses
                          /<prior>/depth.npy  float32 (frames, height, width), metres, 0 = no value
                          /<prior>/weight.npy uint8 (frames, height, width), confidence x 255; where there is one
+                         /<prior>/sky1.npy   uint8 (frames, height, width), 1 = sky; 1: version of the sky's mask
 """
 
 import hashlib
@@ -29,8 +30,11 @@ from priors.errors import DataError
 from priors.filters import Filters
 from priors.motion import trajectory
 from priors.selection import parse_range, range_of, select
+from priors.sky import VERSION, sky_mask
 from priors.types import Camera, Depth, Drive
 
+SURE = 128
+"""Confidence x 255 from which on a value is right rather than wrong: there is no sky, whatever the image shows."""
 ProgressBar: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
 """Opens a progress bar of a label and a number of frames; yields what is called after each."""
 
@@ -93,7 +97,8 @@ def open_scene(
     images = Stack(preparation.home / "images.npy")
     origin_m = origin.origin_of(poses) if origin_m is None else origin_m
     poses = origin.without(origin_m, poses)
-    return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test, origin_m)
+    sky = None if prior is None else preparation.sky(prior, stamps)
+    return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test, origin_m, sky)
 
 
 def is_prepared(drive: Drive, config: SceneConfig, folder: Path) -> bool:
@@ -169,11 +174,33 @@ class _Preparation:
 
     def maps(self, prior: Prior, stamps: dict[str, str]) -> tuple[Stack, Stack | None]:
         """Copy a prior's filtered maps into one file each, joined by frame id."""
-        place = self.home / f"{prior.name}-{_digest(json.dumps(self.filters.record()), *stamps.values())}"
+        place = self._place(prior, stamps)
         if not (place / "depth.npy").exists():
             self._copy(prior, set(stamps), place)
         weight = place / "weight.npy"
         return Stack(place / "depth.npy"), Stack(weight) if weight.exists() else None
+
+    def _place(self, prior: Prior, stamps: dict[str, str]) -> Path:
+        """Return the folder of a prior's filtered maps."""
+        return self.home / f"{prior.name}-{_digest(json.dumps(self.filters.record()), *stamps.values())}"
+
+    def sky(self, prior: Prior, stamps: dict[str, str]) -> Stack:
+        """Tell the sky's pixels, once: where the image shows it and the prior is not sure of a surface.
+
+        Stereo and completion give the sky no confidence, mono no value; a LiDAR's value is sure.
+        """
+        path = self._place(prior, stamps) / f"sky{VERSION}.npy"
+        if not path.exists():
+            depth_m, weight = self.maps(prior, stamps)
+            files = StackWriter(path, depth_m.shape, np.uint8)
+            with files as sky, self.progress(f"sky of {self.drive.name}", len(self.positions)) as step:
+                for position, number in enumerate(self.positions):
+                    sure = depth_m[position] > 0
+                    if weight is not None:
+                        sure &= weight[position] >= SURE
+                    sky.add(sky_mask(self.drive[number].image()) & ~sure)
+                    step()
+        return Stack(path)
 
     def _copy(self, prior: Prior, common: set[str], place: Path) -> None:
         """Write weight.npy, where there is confidence, then depth.npy, which marks both as done."""

@@ -79,11 +79,16 @@ class Proposals:
             samples = self.sampler.resample(rays, Histogram(samples, weights, MARGIN, anneal), count, key)
         return samples, rounds
 
-    def backward(self, rounds: list[Round], samples: Samples, rendered: Rendered) -> Tensor:
-        """Set the proposals' gradients, by the weights of the field's samples; returns the last interlevel loss."""
+    def backward(
+        self, rounds: list[Round], samples: Samples, rendered: Rendered, share: Tensor | None = None
+    ) -> Tensor:
+        """Set the proposals' gradients, by the weights of the field's samples; returns the last interlevel loss.
+
+        `share` (r,): of the rays in the mean; None: 1 / r.
+        """
         value = rendered.rgb.new_zeros(())
         for proposal, each in zip(self.fields, rounds, strict=True):
-            value, d_weights = interlevel(samples, rendered, each.samples, each.rendered)
+            value, d_weights = interlevel(samples, rendered, each.samples, each.rendered, share)
             gradients = replace(Gradients.zeros(each.rendered), weights=d_weights)
             given = each.samples, each.sigma, *_colourless(each.sigma, len(each.rendered.rgb))
             d_sigma, _, _ = self._renderer.backward(*given, each.rendered, gradients)

@@ -8,7 +8,9 @@ A `key` (seed, step) shifts each ray's candidates by a random share of an interv
 a key (rendering) they stand still.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 import torch
@@ -41,6 +43,8 @@ class SamplerConfig:
     """Put a ray's samples around its prior depth."""
     carve: bool = True
     """Empty the space in front of the prior's surfaces before the first step."""
+    carve_sky: bool = True
+    """Empty what the views see the sky through, too."""
     reach: float = 0.12
     """Half width of the band of samples around the prior, as a share of its depth."""
     unguided: float = 0.03
@@ -48,12 +52,32 @@ class SamplerConfig:
     trust: float = 0.2
     """Prior values of less confidence than this carve and guide nothing; the losses weigh them as they do all."""
 
+    terminate: float = 1e-3
+    """Transmittance below which a ray ends, in training and rendering; 0: at its last sample."""
+    roulette_samples: float = 0.1
+    """Least probability with which a training sample goes through the backward pass: those that carry little of the
+    gradient go rarely, and then count for more; 1: all go."""
+
+    roulette_rays: float = 1.0
+    """Least probability with which a drawn ray is trained on, for example 0.25: those of image parts that are learned
+    already go rarely, and then count for more; 1: all go."""
+
+    BEFORE: ClassVar[Mapping[str, Any]] = {
+        "terminate": 0.0,
+        "roulette_samples": 1.0,
+        "carve_sky": False,
+    }
+
     def __post_init__(self) -> None:
         expect_between(2, self.count, MOST_SAMPLES, "--count")
         expect_between(1, self.free, MOST_SAMPLES, "--free")
         expect_between(1, self.render, MOST_SAMPLES, "--render")
         expect(0 < self.reach < np.inf, "--reach", self.reach, "more than 0, a share of the depth")
         expect(0 <= self.unguided <= 1, "--unguided", self.unguided, "a share from 0 to 1")
+        expect(0 <= self.terminate < 0.1, "--terminate", self.terminate, "a transmittance from 0 to less than 0.1")
+        for name in ("roulette_samples", "roulette_rays"):
+            least = getattr(self, name)
+            expect(0 < least <= 1, f"--{name.replace('_', '-')}", least, "a probability above 0, up to 1")
         expect(0 <= self.trust <= 1, "--trust", self.trust, "a confidence from 0 to 1")
 
 

@@ -4,7 +4,7 @@ Its frame is the drive's metric frame, less an origin where the drive is far fro
 """
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,6 +16,14 @@ from nerf.stack import Stack
 from nerf.types import Rays
 from priors.geometry import rays as pixel_rays
 from priors.types import Camera, Matrix
+
+
+class Pixels(NamedTuple):
+    """Pixels of a scene's frames, (r,) int64 each."""
+
+    frame: npt.NDArray[np.int64]
+    row: npt.NDArray[np.int64]
+    column: npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
@@ -39,15 +47,21 @@ class Scene:
     """Positions of the held-out frames."""
     origin_m: Offset = origin.NONE
     """Where the scene's frame begins in the drive's, metres."""
+    sky: Stack | npt.NDArray[np.uint8] | None = None
+    """(frames, height, width) 1 where the image shows sky and the prior is not sure of a surface."""
 
     def draw(self, count: int, seed: int, step: int) -> Rays:
         """Draw `count` training rays; the same seed and step draw the same ones."""
+        return self.rays(*self.pixels(count, seed, step))
+
+    def pixels(self, count: int, seed: int, step: int) -> Pixels:
+        """Draw `count` pixels of the training frames, evenly."""
         height, width = self.camera.size
         random = np.random.Generator(np.random.Philox(key=[seed, step]))
         flat = random.integers(0, len(self.train) * height * width, count)
         which, pixel = np.divmod(flat, height * width)
         frame = np.asarray(self.train)[which]
-        return self.rays(frame, *np.divmod(pixel, width))
+        return Pixels(frame, *np.divmod(pixel, width))
 
     def rays(self, frame: npt.NDArray[Any], row: npt.NDArray[Any], column: npt.NDArray[Any]) -> Rays:
         """Return the rays through pixels, (r,) each, with colour and prior."""
@@ -58,7 +72,9 @@ class Scene:
         depth_m = None if self.depth_m is None else _tensor(self.depth_m[frame, row, column])
         weight = None if self.weight is None else _tensor(self.weight[frame, row, column] / np.float32(255))
         rgb = _tensor(self.images[frame, row, column] / np.float32(255))
-        return Rays(_tensor(pose[:, :3, 3]), _tensor(directions), rgb, depth_m, weight, 1 / self.camera.fx)
+        sky = None if self.sky is None else _tensor(self.sky[frame, row, column])
+        pixel = 1 / self.camera.fx
+        return Rays(_tensor(pose[:, :3, 3]), _tensor(directions), rgb, depth_m, weight, pixel, sky=sky)
 
     def points_m(self, most: int = 2_000_000) -> npt.NDArray[np.float32]:
         """Back-project the training frames' prior: up to about `most` points (n, 3) of the scene, evenly thinned."""

@@ -124,14 +124,19 @@ class Rays:
     """(r,) the prior's camera-z depth, 0 = no value; None without a prior."""
     weight: Tensor | None = None
     """(r,) how much the prior's value counts, [0, 1]; None: 1 where there is a value."""
-
     pixel: float = 0.0
     """Width of a pixel at a camera-z depth of 1: 1 / focal length in pixels; 0: rays are lines."""
+    share: Tensor | None = None
+    """(r,) share of each ray in a mean over the batch; None: 1 / r."""
+    sky: Tensor | None = None
+    """(r,) 1 where the ray goes to the sky, else 0; None: nobody knows."""
 
     def to(self, device: torch.device) -> "Rays":
         """Return the rays on a device."""
-        rgb, depth_m, weight = (None if x is None else x.to(device) for x in (self.rgb, self.depth_m, self.weight))
-        return Rays(self.origins_m.to(device), self.directions.to(device), rgb, depth_m, weight, self.pixel)
+        rest = (self.rgb, self.depth_m, self.weight, self.share, self.sky)
+        rgb, depth_m, weight, share, sky = (None if x is None else x.to(device) for x in rest)
+        origins_m, directions = self.origins_m.to(device), self.directions.to(device)
+        return Rays(origins_m, directions, rgb, depth_m, weight, self.pixel, share, sky)
 
     def __len__(self) -> int:
         return self.origins_m.shape[0]

@@ -4,6 +4,7 @@ The study's three families are three settings of it. Samples are drawn where the
 proposals say; field, renderer and losses are the same for all.
 """
 
+import math
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -11,7 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from nerf import roulette
 from nerf.config import FitConfig, ModelConfig
+from nerf.converged import Converged
 from nerf.field import Field, FieldConfig
 from nerf.kernels import kernels_for
 from nerf.losses import LossConfig, Losses, losses
@@ -26,6 +29,7 @@ from nerf.sky import Sky, SkyConfig
 from nerf.space import Kind, Space
 from nerf.state import copy_into, joined, under
 from nerf.types import GridConfig, Key, Rays, Rendered, RenderedView, Samples
+from nerf.walk import in_front, walk
 from priors.machine import threads
 from priors.records import restore
 from priors.types import Camera, Matrix
@@ -54,10 +58,12 @@ class VolumetricFamily:
         space = Space.around(scene.T_world_cam[scene.train, :3, 3], scene.points_m(), self.space)
         sampler = config.model.sampler
         if sampler.carve and scene.depth_m is not None:
+            scene = scene if sampler.carve_sky else replace(scene, sky=None)
             occupancy = Occupancy.carve(space, scene, trust=sampler.trust, device=device)
         else:
             occupancy = Occupancy(space, device=device)
-        return VolumetricModel(config.model, self, occupancy, config.seed)
+        converged = Converged.of(scene) if sampler.roulette_rays < 1 else None
+        return VolumetricModel(config.model, self, occupancy, config.seed, converged)
 
     def open(
         self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str
@@ -72,8 +78,19 @@ class VolumetricFamily:
 class VolumetricModel:
     """A nerf.model.Model: everything a checkpoint holds lives here."""
 
-    def __init__(self, config: ModelConfig, family: VolumetricFamily, occupancy: Occupancy, seed: int = 0) -> None:
-        """Make a model that is a thin, even fog, on the occupancy grid's device."""
+    def __init__(
+        self,
+        config: ModelConfig,
+        family: VolumetricFamily,
+        occupancy: Occupancy,
+        seed: int = 0,
+        converged: Converged | None = None,
+    ) -> None:
+        """Make a model that is a thin, even fog, on the occupancy grid's device.
+
+        `converged`: what is known of the training images' losses; None: all rays are trained on.
+        """
+        self.converged = converged
         self.config, self.family, self.occupancy = config, family, occupancy
         self.space, self.device = occupancy.space, occupancy.kept.device
         grid = GridConfig(log2_size=config.log2_size, finest=config.finest, tables=self.space.tables)
@@ -87,9 +104,14 @@ class VolumetricModel:
     def train(self, scene: Scene, config: FitConfig, step: int, progress: float) -> StepResult:
         """Do a step of training; see nerf.model.Model."""
         key = config.seed, step
-        rays = scene.draw(config.rays, *key).to(self.device)
+        pixels, share = scene.pixels(config.rays, *key), None
+        if self.converged is not None:
+            pixels, share = self.converged.spin(pixels, self.config.sampler.roulette_rays, key)
+        rays = replace(scene.rays(*pixels), share=share).to(self.device)
         rules = replace(config.losses, distortion=config.losses.distortion * self.family.distortion)
         batch = self.backward(rays, rules, key, progress)
+        if self.converged is not None:
+            self.converged.learn(pixels, batch.each.cpu())
         self._optimiser.step(config.optimiser, progress)
         if step % OCCUPANCY_EVERY == 0:
             self.occupancy.update(self.field.density, key)
@@ -104,12 +126,27 @@ class VolumetricModel:
         rendered = self._renderer.forward(samples, sigma, rgb, sky)
         batch = losses(config, samples, rays, sigma, rendered)
         d_sigma, d_rgb, d_sky = self._renderer.backward(samples, sigma, rgb, sky, rendered, batch.gradients)
-        self.field.backward(d_sigma, d_rgb)
+        self._learn(samples, sigma, (d_sigma, d_rgb), key)
         self.sky.backward(d_sky)
         if rounds:
-            batch.terms["interlevel"] = self.proposals.backward(rounds, samples, rendered)
+            batch.terms["interlevel"] = self.proposals.backward(rounds, samples, rendered, rays.share)
         self.occupancy.observe(samples, sigma)
         return batch
+
+    def _learn(self, samples: Samples, sigma: Tensor, gradients: tuple[Tensor, Tensor], key: Key) -> None:
+        """Take the gradients by density (m,) and colour (m, 3) back through the field, of the samples that count."""
+        config, (d_sigma, d_rgb) = self.config.sampler, gradients
+        if config.terminate == 0 and config.roulette_samples == 1:
+            self.field.backward(d_sigma, d_rgb)
+            return
+        weight = (d_sigma * sigma).abs() + d_rgb.abs().sum(1)
+        chance = roulette.chances(weight, config.roulette_samples)
+        if config.terminate:
+            chance = torch.where(in_front(samples, sigma) < -math.log(config.terminate), chance, 0.0)
+        chance[samples.used :] = 0
+        kept = roulette.spin(chance, key, roulette.SAMPLES)
+        share = 1 / chance.clamp(min=1e-6)
+        self.field.backward(d_sigma * share, d_rgb * share[:, None], kept)
 
     @threads.quiet()
     def render(self, T_world_cam: Matrix, camera: Camera) -> RenderedView:
@@ -130,7 +167,9 @@ class VolumetricModel:
             samples, _ = self._sample(rays, None, 1.0)
         else:
             samples = self.sampler.march(rays, self.config.sampler.render)
-        sigma, rgb = self.field.forward(samples, rays.units, self._footprint(rays, samples))
+        asked = samples, rays.units, self._footprint(rays, samples)
+        limit = self.config.sampler.terminate
+        sigma, rgb = walk(self.field, *asked, limit) if limit else self.field.forward(*asked)
         return self._renderer.forward(samples, sigma, rgb, self.sky.forward(rays.units))
 
     def parameters(self) -> dict[str, Tensor]:
@@ -141,13 +180,16 @@ class VolumetricModel:
     def state(self) -> dict[str, Tensor]:
         """Return every tensor that a checkpoint keeps, by name."""
         own, occupancy, optimiser = self.parameters(), self.occupancy.state(), self._optimiser.state()
-        return joined({"model": own, "occupancy": occupancy, "optimiser": optimiser})
+        known = {} if self.converged is None else self.converged.state()
+        return joined({"model": own, "occupancy": occupancy, "optimiser": optimiser, "converged": known})
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Take over a saved state; ValueError where it is of a model of other settings."""
         copy_into(self.parameters(), under("model", state))
         self.occupancy.load(under("occupancy", state))
         self._optimiser.load(under("optimiser", state))
+        if self.converged is not None:
+            self.converged.load(under("converged", state))
 
     def record(self) -> dict[str, Any]:
         """Return the space: with config and state it makes the model again."""

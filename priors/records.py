@@ -11,10 +11,16 @@ split, its old name stays beside the dataclass, oldest first:
 
 Old records are then read as before, keys stay what they were, and flags work under both names (cli/renamed.py). An old
 name is never the name of a field of today.
+
+Where a new field's default changes what comes out, what earlier versions did stands beside it:
+
+    BEFORE: ClassVar[Mapping[str, Any]] = {"terminate": 0.0}
+
+A record that lacks the field is of an earlier version, and is read with that value: its results go on as they were.
 """
 
 from collections.abc import Mapping
-from dataclasses import MISSING, Field, asdict, fields, is_dataclass
+from dataclasses import MISSING, Field, asdict, fields, is_dataclass, replace
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, TypeAlias, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -35,9 +41,26 @@ def aliases(kind: type[Any]) -> Aliases:
     return getattr(kind, "ALIASES", {})
 
 
+def before(kind: type[Any]) -> Mapping[str, Any]:
+    """Return what fields were in effect before there were such fields; most configs say nothing."""
+    return getattr(kind, "BEFORE", {})
+
+
+def earlier(config: Config) -> Config:
+    """Return what an earlier version made of the same wishes: fields that it lacked, and that are at their default."""
+    changes: Record = {}
+    for field in fields(config):  # type: ignore[arg-type]
+        value = getattr(config, field.name)
+        if is_dataclass(value):
+            changes[field.name] = earlier(value)
+        elif field.name in before(type(config)) and value == field.default:
+            changes[field.name] = before(type(config))[field.name]
+    return replace(config, **changes)  # type: ignore[type-var]
+
+
 def upgrade(kind: type[Any], old: Record) -> Record:
     """Return a record in today's names; a field that it lacks has its default, where there is one."""
-    new = _renamed(kind, old)
+    new = dict(before(kind)) | _renamed(kind, old)
     for field in fields(kind):
         if field.name not in new and (default := _default(field)) is not MISSING:
             new[field.name] = default
@@ -69,7 +92,7 @@ def restore(kind: type[Config], old: Record) -> Config:
         TypeError: a value without a default is missing, or there is one that this version does not know.
         DataError: the config refuses a value.
     """
-    new, hints = _renamed(kind, old), get_type_hints(kind)
+    new, hints = dict(before(kind)) | _renamed(kind, old), get_type_hints(kind)
     unknown = new.keys() - {field.name for field in fields(kind)}  # type: ignore[arg-type]
     if unknown:
         raise TypeError(f"{min(unknown)} is not known to this version")

@@ -141,7 +141,7 @@ def test_the_table_has_means_spread_ceiling_and_what_the_warp_beats(tmp_path: Pa
     assert [len(each["points"]) for each in content["curves"]] == [2, 2, 2, 2, 1, 0]
     assert content["curves"][0]["points"][0]["metrics"]["abs_rel"] is None
     assert typeset.markdown(laid) in (tmp_path / "bench.md").read_text()
-    (psnr,) = results.plots(curves)
+    psnr, by_processor = results.plots(curves)
     assert {line.label: line.dashed for line in psnr.lines} == {
         "ngp stereo-abcdef0123, sparse": False,
         "mip360 stereo-abcdef0123, sparse": False,
@@ -150,6 +150,7 @@ def test_the_table_has_means_spread_ceiling_and_what_the_warp_beats(tmp_path: Pa
     }
     assert psnr.lines[0].y.tolist() == [20.0, 23.0]
     assert psnr.lines[3].x.tolist() == [11.0, 31.0]  # the warp is a level
+    assert by_processor.lines[0].x.tolist() == [20.0, 20.0]
 
 
 def test_variants_are_rows_of_their_own(tmp_path: Path) -> None:

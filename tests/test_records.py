@@ -3,7 +3,7 @@
 import dataclasses
 import importlib
 import pkgutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 import cli
 import nerf
 import priors
-from priors.records import Aliases, aliases, nested_config, original, record, restore, upgrade
+from priors.records import Aliases, aliases, earlier, nested_config, original, record, restore, upgrade
 
 
 @dataclass(frozen=True)
@@ -165,3 +165,30 @@ def test_every_old_name_of_ours_leads_to_a_field_and_is_none() -> None:
                 for name in rest:
                     assert holder is not None and name in {each.name for each in fields(holder)}, f"{old} -> {path}"
                     holder = nested_config(get_type_hints(holder)[name])
+
+
+@dataclass(frozen=True)
+class Grown:
+    """A config with a field that changed what came out."""
+
+    old: int = 1
+    fresh: float = 0.5
+    inner: Network = field(default_factory=Network)
+
+    BEFORE: ClassVar[Mapping[str, Any]] = {"fresh": 0.0}
+
+
+@dataclass(frozen=True)
+class Around:
+    """A config around it."""
+
+    grown: Grown = field(default_factory=Grown)
+
+
+def test_a_record_from_before_a_field_is_read_as_it_was() -> None:
+    assert restore(Grown, {"old": 2}) == Grown(2, 0.0)
+    assert restore(Around, {"grown": {"old": 2}}) == Around(Grown(2, 0.0))
+    assert restore(Around, record(Around())) == Around(Grown(1, 0.5))
+    assert upgrade(Grown, {"old": 2})["fresh"] == 0.0
+    assert earlier(Around()) == Around(Grown(1, 0.0))
+    assert earlier(Around(Grown(fresh=0.7))) == Around(Grown(fresh=0.7)), "what was asked for stays"

@@ -2,7 +2,7 @@
 
 <bench>/bench.json    machine, command, every curve with its points
        /bench.md      the table, and what was typed
-       /bench.svg .png  PSNR, LPIPS and AbsRel over wall time; means over seeds
+       /bench.svg .png  PSNR, LPIPS and AbsRel over wall time and over processor time; means over seeds
 """
 
 import json
@@ -30,6 +30,8 @@ from priors.machine import cpu, threads
 
 FORMAT = 1
 DRAWN = ("psnr", "lpips_squeeze", "lpips_vgg", "abs_rel")
+CLOCKS = {"seconds": "wall time of preparation and training, s", "processor_s": "processor time of all threads, s"}
+"""What figures are drawn over: a row of plots each."""
 SPREAD = "psnr_spread"
 SPENT = {"seconds": 1, "processor_s": 1, "step": 0}
 """What a row says of a point's cost, and with how many digits."""
@@ -105,25 +107,34 @@ def _below_the_warp(last: Mapping[Group, float]) -> list[str]:
 
 
 def plots(curves: Sequence[Curve]) -> list[Plot]:
-    """Draw each figure over wall time: a line a choice; what is not trained, and ceilings, are dashed."""
-    groups = grouped(curves)
-    names, made = _labels(list(groups)), []
-    spent = [point.seconds for curve in curves for point in curve.points if point.mark != READY] or [0.0, 1.0]
-    for key in DRAWN:
-        drawn = []
-        for group, members in groups.items():
-            x, y = _course(members, key)
-            is_ready = members[0].points[0].mark == READY
-            if is_ready:
-                x, y = [min(spent), max(spent)], y * 2
-            if np.isfinite(y).any():
-                label = f"{names[group]}, {group[0].views}"
-                drawn.append(Line(label, np.array(x), np.array(y), is_ready or members[0].entrant.is_ceiling))
-        if drawn:
+    """Draw each figure over each clock: a line a choice; what is not trained, and ceilings, are dashed."""
+    made = []
+    for clock, x_label in CLOCKS.items():
+        for key in DRAWN:
+            drawn = _lines(curves, key, clock)
             label = ", ".join(part for part in (COLUMNS[key].label, COLUMNS[key].unit) if part)
             scale: Literal["log", "linear"] = "log" if key == "abs_rel" else "linear"
-            made.append(Plot(drawn, "preparation and training, s", label, from_zero=False, y_scale=scale))
+            if drawn:
+                made.append(Plot(drawn, x_label, label, from_zero=False, y_scale=scale))
     return made
+
+
+def _lines(curves: Sequence[Curve], key: str, clock: str) -> list[Line]:
+    """Draw one figure over one clock; what is not trained is a level from the first point to the last."""
+    groups, drawn = grouped(curves), []
+    names = _labels(list(groups))
+    spent = [getattr(point, clock) for curve in curves for point in curve.points if point.mark != READY] or [0.0, 1.0]
+    for group, members in groups.items():
+        ordered = list(by_mark(members).values())
+        x = [_mean(points, clock) for points in ordered]
+        y = [mean_metrics(points).get(key, math.nan) for points in ordered]
+        is_ready = ordered[0][0].mark == READY
+        if is_ready:
+            x, y = [min(spent), max(spent)], y * 2
+        if np.isfinite(y).any():
+            dashed = is_ready or members[0].entrant.is_ceiling
+            drawn.append(Line(f"{names[group]}, {group[0].views}", np.array(x), np.array(y), dashed))
+    return drawn
 
 
 def save(curves: Sequence[Curve], folder: Path, table: Table, command: str) -> list[Path]:
@@ -139,7 +150,7 @@ def save(curves: Sequence[Curve], folder: Path, table: Table, command: str) -> l
     drawn = plots(curves)
     pictures = [folder / f"bench{suffix}" for suffix in (".svg", ".png")]
     for path in pictures:
-        lines.write(path, drawn, columns=len(drawn))
+        lines.write(path, drawn, columns=max(1, len(drawn) // len(CLOCKS)))
     return [*(folder / name for name in files), *pictures]
 
 
@@ -168,12 +179,6 @@ def _labels(groups: Sequence[Group]) -> dict[Group, str]:
     losses = {spec.loss for spec, _ in groups if spec.loss}
     shown = 3 if len(losses) > 1 else 2
     return {group: " ".join(part for part in parts[:shown] if part != "-") for group, parts in _names(groups).items()}
-
-
-def _course(members: Sequence[Curve], key: str) -> tuple[list[float], list[float]]:
-    """Return mean wall seconds and figures of a choice, mark by mark."""
-    ordered = by_mark(members).values()
-    return [_mean(each, "seconds") for each in ordered], [mean_metrics(each).get(key, math.nan) for each in ordered]
 
 
 def _last(members: Sequence[Curve]) -> list[Point]:

@@ -136,22 +136,50 @@ def interval(slot, ray, paths):  # type: ignore[no-untyped-def]
     return spacing(t0, ray, paths), spacing(t1, ray, paths), t0, t1
 
 
+@compiled(error_model="numpy", inline="always")
+def ending(slot, ray, paths):  # type: ignore[no-untyped-def]
+    """Return the depth where a ray's candidate ends, of a stretch or a band: `interval`, its last value."""
+    count, shift = paths.candidates[ray], paths.shift[ray]
+    step = slot - count - 1
+    if step < 0:
+        start, length = paths.start[ray], paths.stop[ray] - paths.start[ray]
+        return depth(start + share(slot, shift, count) * length, ray, paths) if length > ZERO else ZERO
+    begin, width = paths.band0[ray], paths.band1[ray] - paths.band0[ray]
+    if step > paths.band_count or not width > ZERO:
+        return ZERO
+    return begin + share(step, shift, paths.band_count) * width
+
+
+@compiled(error_model="numpy", inline="always")
+def _holds(t, place, direction, cells, kind):  # type: ignore[no-untyped-def]
+    """Tell whether the cell at a depth on a ray is kept."""
+    x, y, z = place[0] + t * direction[0], place[1] + t * direction[1], place[2] + t * direction[2]
+    u, v, w, table = warp(x, y, z, kind)
+    return cells.kept[cell(u, v, w, table, cells.resolution)] > 0
+
+
 @compiled(error_model="numpy")
 def choose(paths, cells, chosen, counts, first_ray, last_ray):  # type: ignore[no-untyped-def]
-    """Mark the candidates to keep, chosen (r, slots) uint8, and count them, (r,)."""
+    """Mark the candidates to keep, chosen (r, slots) uint8, and count them, (r,).
+
+    A candidate of a stretch or a band begins where the one before ends: its depth is computed once.
+    """
+    given = paths.ends.shape[2] > 0
     for ray in range(first_ray, last_ray):
-        ox, oy, oz = paths.origins[ray, 0], paths.origins[ray, 1], paths.origins[ray, 2]
-        dx, dy, dz = paths.directions[ray, 0], paths.directions[ray, 1], paths.directions[ray, 2]
-        count = 0
+        place = paths.origins[ray, 0], paths.origins[ray, 1], paths.origins[ray, 2]
+        direction = paths.directions[ray, 0], paths.directions[ray, 1], paths.directions[ray, 2]
+        band, count, begin = paths.candidates[ray] + 1, 0, ZERO
         for slot in range(chosen.shape[1]):
-            _, _, t0, t1 = interval(slot, ray, paths)
-            keep = t1 > t0
+            if given or slot == 0 or slot == band:
+                _, _, begin, end = interval(slot, ray, paths)
+            else:
+                end = ending(slot, ray, paths)
+            keep = end > begin
             if keep and cells.kept.size:
-                t = (t0 + t1) * HALF
-                u, v, w, table = warp(ox + t * dx, oy + t * dy, oz + t * dz, paths.kind)
-                keep = cells.kept[cell(u, v, w, table, cells.resolution)] > 0
+                keep = _holds((begin + end) * HALF, place, direction, cells, paths.kind)
             chosen[ray, slot] = keep
             count += keep
+            begin = end
         counts[ray] = count
 
 
