@@ -32,7 +32,7 @@ KEYS = ("psnr", "rmse", "abs_rel")
 NO_FLAG = ("model.log2_size", "model.finest", "optimiser.")
 """Settings that only a program in Python can choose."""
 COURSES = (
-    ("psnr", "seconds", "time, s", "PSNR of the training batch, dB"),
+    ("psnr", "step", "step", "PSNR of the training batch, dB"),
     ("loss", "step", "step", "loss, all terms"),
     ("depth", "step", "step", "depth loss"),
 )

@@ -21,6 +21,8 @@ Floats = npt.NDArray[np.float64]
 
 TIMES_FASTER, FARTHER_M = 3.0, 0.5
 """A step breaks the path where it is so many times as fast as the steps around it, and goes so much farther."""
+CHANGE_M_S2 = 20.0
+"""A car that starts or brakes differs from the steps around it by half of this times the time squared, or less."""
 FASTEST_M_S = 70.0
 FASTEST_TURN_RAD_S = float(np.radians(150.0))
 """No car goes, or turns, faster."""
@@ -85,7 +87,8 @@ class Trajectory:
         if not len(speeds):
             return np.zeros(0, dtype=bool)
         around = np.array([np.median(speeds[max(0, n - AROUND) : n + AROUND + 1]) for n in range(len(speeds))])
-        jumps = (speeds > TIMES_FASTER * around) & (self.steps_m - around * self.gaps_s > FARTHER_M)
+        farther_m = np.maximum(FARTHER_M, 0.5 * CHANGE_M_S2 * self.gaps_s**2)
+        jumps = (speeds > TIMES_FASTER * around) & (self.steps_m - around * self.gaps_s > farther_m)
         jumps |= (speeds > FASTEST_M_S) & (np.median(speeds) <= FASTEST_M_S)
         rates = self.turns_rad / self.gaps_s
         turns = (rates > FASTEST_TURN_RAD_S) & (np.median(rates) <= FASTEST_TURN_RAD_S)

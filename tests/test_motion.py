@@ -36,7 +36,7 @@ def slow_breaks(places_m: list[float], gaps_s: list[float]) -> list[bool]:
     found = []
     for n, speed in enumerate(speeds):
         around = float(np.median([speeds[k] for k in range(len(speeds)) if abs(k - n) <= 5]))
-        jump = speed > 3 * around and steps[n] > around * gaps_s[n] + 0.5
+        jump = speed > 3 * around and steps[n] > around * gaps_s[n] + max(0.5, 10 * gaps_s[n] ** 2)
         found.append(jump or (speed > 70 and float(np.median(speeds)) <= 70))
     return found
 
@@ -72,6 +72,15 @@ def test_frames_left_out_are_no_break(times: bool) -> None:
     poses = {number: straight([1.0 * number])[0] for number in numbers}
     path = Trajectory.of_numbers(poses, {number: 0.1 * number for number in numbers} if times else {})
     assert not path.breaks.any()
+
+
+@pytest.mark.parametrize("gap_s", [0.1, 0.5, 1.0])
+def test_a_car_that_starts_or_stops_is_no_break(gap_s: float) -> None:
+    times_s = gap_s * np.arange(24)
+    started_s = np.maximum(0, times_s - times_s[-5])
+    places = (2.0 * started_s**2).tolist()  # 4 m/s2 after a long stop
+    for path in (places, [places[-1] - place for place in reversed(places)]):
+        assert not Trajectory.of_numbers(straight(path), dict(enumerate(times_s.tolist()))).breaks.any()
 
 
 def test_another_unit_is_no_break() -> None:

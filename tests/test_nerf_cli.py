@@ -112,6 +112,8 @@ def test_a_report_that_cannot_be_written_is_told_before_any_work(
     for flag, value in (("--out", "page.pdf"), ("--most", 0), ("--megabytes", "nan"), ("--picture-width", 1)):
         assert refused(capsys, "report", home / "runs", flag, value).startswith(f"error: {flag} {value}: expected ")
     assert "no runs in it" in refused(capsys, "report", tmp_path)
+    shutil.copytree(home / "cache", tmp_path / "cache", ignore=shutil.ignore_patterns("*.png"))
+    assert "no maps yet" in refused(capsys, "report", home / "runs", "--cache", tmp_path / "cache")
     assert (
         nerf("report", home / "runs", "--cache", home / "cache", "--megabytes", 0.01, "--out", tmp_path / "a.html") == 0
     )

@@ -17,6 +17,7 @@ from nerf.export import CloudConfig, write_cloud
 from nerf.prepare import SceneConfig
 from nerf.run import Run, begin, open_run
 from nerf.sample import SamplerConfig
+from nerf.view.stage import open_stage
 from priors.drives import open_drive
 from priors.types import Drive, Frame
 
@@ -127,6 +128,14 @@ def cloud(path: Path, render: Any, run: Run) -> np.ndarray:
     views = run.viewpoints("0:1")
     write_cloud(path, render, views.camera, views.T_world_cam, WHOLE)
     return xyz_m(path)
+
+
+def test_a_view_without_the_drive_begins_where_its_camera_was(far: Run) -> None:
+    elsewhere = replace(far.config, drive={**far.config.drive, "path": "gone/mine"})
+    stage = open_stage(replace(far, source=None, config=elsewhere))
+    pose = stage.track.pose(0)
+    assert stage.drive is None and pose is not None
+    assert np.abs(stage.track.unshifted(pose) - far.drive[0].T_world_cam).max() < 1e-8
 
 
 def test_a_far_run_that_began_without_an_origin_goes_on_without_one(far: Run, tmp_path: Path) -> None:

@@ -69,11 +69,13 @@ def _write(args: StoryArguments, command: str) -> int:
     with busy("pictures for the page"):
         fields = scored_fields(runs, reports, args.sample)
     priors: list[DriveScores] = []
+    whole = len(runs) == len(folders)
     if args.cache:
         asked = priors_report.ReportArguments(args.cache, args.out, data=args.data, sample=args.sample)
-        priors = priors_report.score_caches(asked)
+        priors, all_scored = priors_report.score_caches(asked)
+        whole &= all_scored
     write_story(story_page(fields, priors, command, args.sample.room), args.out, (fields, priors), args.sample)
-    return DATA_ERROR if len(runs) < len(folders) else 0
+    return 0 if whole else DATA_ERROR
 
 
 def write_story(page: Page, path: Path, shown: tuple[list[FieldScores], list[DriveScores]], sample: Sample) -> None:

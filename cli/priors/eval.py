@@ -149,7 +149,7 @@ def run(arguments: list[str]) -> int:
     args.expect_writable()
     loaded = _load([path for path in args.caches if path.suffix == ".json"])
     refused: list[DataError] = []
-    drives = by_drive([prior for path in args.caches if path.suffix != ".json" for prior in _with_maps(path, refused)])
+    drives = by_drive([prior for path in args.caches if path.suffix != ".json" for prior in with_maps(path, refused)])
     output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + len(loaded) > 1)
     for results in loaded:
         output.show(results)
@@ -171,7 +171,7 @@ def _load(files: Sequence[Path]) -> list[DriveScores]:
     return list(drives.values())
 
 
-def _with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
+def with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
     """Return the priors at path that have maps; those that have none yet are named, those that cannot be read kept."""
     priors = cache.find(path, refused.append)
     for prior in priors:

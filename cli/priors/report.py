@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 import tyro
 
-from cli.arguments import by_drive, drive_names, find_priors, parse, reopen_drive
+from cli.arguments import by_drive, drive_names, parse, reopen_drive
 from cli.console import DATA_ERROR, busy, err, out
-from cli.priors.eval import ScoreArguments, score_prior
+from cli.priors.eval import ScoreArguments, score_prior, with_maps
 from cli.written import expect_file
 from eval.protocol import PRESETS
 from priors.cache import Prior
@@ -65,16 +65,24 @@ def run(arguments: list[str]) -> int:
     """Write the page; returns the exit code."""
     args = parse(ReportArguments, "priors report", EXAMPLES, arguments)
     expect_file("--out", args.out)
-    scored = score_caches(args)
+    scored, whole = score_caches(args)
     page = scores_page(scored, None, shlex.join(["priors", "report", *arguments]), args.sample.room)
     write_page(page, args.out, scored, args.sample)
-    return DATA_ERROR if any(each.left_out for each in scored if each.results) else 0
+    return 0 if whole else DATA_ERROR
 
 
-def score_caches(args: ReportArguments) -> list[DriveScores]:
-    """Score and picture the priors of each drive; a drive that cannot be opened is named and left out."""
-    priors = [prior for path in args.caches for prior in find_priors(path)]
-    drives = by_drive(priors)
+def score_caches(args: ReportArguments) -> tuple[list[DriveScores], bool]:
+    """Score and picture the priors of each drive; returns them, and whether they are all.
+
+    What cannot be read is named and left out. A drive without a truth has pictures alone: that is whole.
+    """
+    refused: list[DataError] = []
+    priors = [prior for path in args.caches for prior in with_maps(path, refused)]
+    for error in refused:
+        err.complain(error, "left out")
+    drives = by_drive(list({prior.folder.resolve(): prior for prior in priors}.values()))
+    if not drives:
+        raise DataError(f"{args.caches[0]}: no maps yet: build them first (`priors build`)")
     scored = []
     for together, name in zip(drives, drive_names(drives), strict=True):
         try:
@@ -85,19 +93,23 @@ def score_caches(args: ReportArguments) -> list[DriveScores]:
             err.complain(error, f"left out: {together[0].folder.parent}")
     if not scored:
         raise DataError(f"none of {len(drives)} drives can be opened: see above")
-    return scored
+    lost = bool(refused) or len(scored) < len(drives) or any(each.left_out for each in scored if each.results)
+    return scored, not lost
 
 
 def _score_drive(priors: list[Prior], drive_name: str, args: ReportArguments) -> DriveScores:
     """Score and picture the priors of one drive; those that cannot be scored are pictured all the same."""
-    drive, made = reopen_drive(priors, args.truth, args.data), [prior for prior in priors if prior.ids()]
-    scored = DriveScores([], priors=dict(zip(labels(made), made, strict=True)), name=drive_name)
+    drive = reopen_drive(priors, args.truth, args.data)
+    scored = DriveScores([], priors=dict(zip(labels(priors), priors, strict=True)), name=drive_name)
     for name in scored.priors:
         try:
             score_prior(scored, name, drive, args.scoring)
         except DataError as error:
             scored.left_out[name] = str(error)
             err.complain(error, f"not scored: {name}")
+    for what, why in scored.left_out.items():
+        if what not in scored.priors:
+            err.complain(why, f"left out: {what}")
     with busy("pictures for the page"):
         wipe = frames_wipe(drive, scored.priors, scored.results, args.sample, args.frames)
     return replace(scored, wipe=wipe)

@@ -82,9 +82,9 @@ def priors_chapter(scored: DriveScores, keys: Sequence[str] | None) -> Chapter:
         figures = [Paragraph(f"Not scored: {line}") for line in missing]
     return Chapter(
         f"Depth priors of {scored.drive}" if scored.drive else "Depth priors",
-        f"Scored against the drive's own truth. {BEST}" if scored.results else "",
+        BEST if scored.results else "",
         [
-            Section("Table", figures),
+            Section("Table" if scored.results else "Scores", figures),
             Section("Frames", [] if scored.wipe is None else [scored.wipe]),
             Section("Error by true distance", [Figure(by_range(scored.results))] if scored.results else []),
             Section("Sparsification", [Paragraph(SPARSIFICATION), Figure(plots, columns)] if plots else []),
