@@ -333,6 +333,8 @@ def find_all(paths: Sequence[Path]) -> list[Path]:
 
 def find(path: Path) -> list[Path]:
     """Return the folder of the run at path, or of all runs that it holds, sorted; DataError where there is none."""
+    if not path.exists():
+        raise DataError(f"{path}: no such folder: not a run's folder (`nerf fit DATA --run {path}` makes one)")
     if (path / CONFIG).exists() or not path.is_dir():  # what is no folder is told when it is opened
         return [path]
     folders = sorted(inner.parent for inner in path.glob(f"*/{CONFIG}"))

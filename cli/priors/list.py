@@ -9,7 +9,7 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from cli.arguments import parse
+from cli.arguments import by_drive, parse
 from cli.console import DATA_ERROR, err, out
 from priors import cache
 from priors.cache import Prior
@@ -45,8 +45,9 @@ def run(arguments: list[str]) -> int:
         table.add_column(heading, overflow="fold")
     for heading in ("frames", "density", "s/frame", "MiB"):
         table.add_column(heading, justify="right")
-    for prior, label in zip(priors, labels(priors), strict=True):
-        table.add_row(str(prior.drive["name"]), label, prior.name, *_figures(prior))
+    for together in by_drive(priors):
+        for prior, label in zip(together, labels(together), strict=True):
+            table.add_row(str(prior.drive["name"]), label, prior.name, *_figures(prior))
     out.print(table)
     for error in refused:
         err.complain(error, "left out")

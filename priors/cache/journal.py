@@ -72,6 +72,9 @@ class Journal:
 
     def _read_on(self) -> None:
         """Take in the whole lines that were appended; a file that was replaced is read from its start."""
+        status = self.path.stat()  # cheaper than to open it, for each frame of a plan
+        if (status.st_dev, status.st_ino, status.st_size) == (*(self._file or (0, 0)), self._read_to):
+            return
         with self.path.open("rb") as file:
             status = os.fstat(file.fileno())
             if (status.st_dev, status.st_ino) != self._file or status.st_size < self._read_to:

@@ -273,8 +273,8 @@ def _is_whole(path: Path, size: Any) -> bool:
     A power cut can leave a renamed, empty file.
     """
     try:
-        with path.open("rb") as file:
-            end = file.seek(-len(_PNG_END), 2)
-            return size in (None, end + len(_PNG_END)) and file.read() == _PNG_END
+        with path.open("rb", buffering=0) as file:
+            end = file.seek(-len(_PNG_END), os.SEEK_END)
+            return size in (None, end + len(_PNG_END)) and file.read(len(_PNG_END)) == _PNG_END
     except OSError:
         return False
