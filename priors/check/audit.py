@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import TypeAlias
 
 from priors.check.calibration import judge_calibration
+from priors.check.drift import judge_drift
 from priors.check.files import judge_files
 from priors.check.finding import Finding
 from priors.check.frames import judge_joins, open_frames
@@ -53,6 +54,9 @@ def check(drive: Drive, samples: int = SAMPLES, progress: ProgressBar = silent) 
     findings += judge_poses(frames, sampled)
     findings += judge_times(frames)
     findings += judge_lidar(sampled)
+    others = [finding for finding in findings + maps if finding.subject not in ("frames", "times")]
+    if all(finding.level in ("ok", "note") for finding in others):  # else they may be why flow is left over
+        findings += judge_drift(drive, sampled)
     return findings + maps
 
 

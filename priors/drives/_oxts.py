@@ -33,6 +33,8 @@ Floats = npt.NDArray[np.float64]
 EARTH_RADIUS_M = 6378137.0
 PLACE, VELOCITY = 6, slice(8, 11)
 """Columns: where the IMU is, how many; vf, vl and vu, which."""
+MOVING_M, MOVING_M_S, FEWEST_STEPS = 0.2, 2.0, 10
+"""Steps between records that tell a direction, and how many are needed."""
 DEAD_RECKONING = "dead-reckoned-1"
 """Part of a fingerprint: the number is raised when dead-reckoned poses change."""
 
@@ -96,6 +98,14 @@ class Track:
         T = recorded.copy()
         T[:3, 3] = self._path_m[id_]
         return T
+
+    def travel_deg(self) -> tuple[float, float] | None:
+        """Return at which angle to the heading positions, and velocities, go, medians; positive to the left.
+
+        None where the records have no velocities to the left, or the drive hardly moves.
+        """
+        records = [self.record(self.id_of(int(name))) for name in self.path.names]
+        return _travel_deg(records) if len(records) > FEWEST_STEPS else None
 
     @cached_property
     def _path_m(self) -> dict[str, Floats]:
@@ -200,6 +210,20 @@ def _sail(records: Sequence[Record], times_s: Floats) -> Floats | None:
     north = np.sin(yaw) * forward + np.cos(yaw) * left
     positions_m = np.array([record.T_mercator_imu[:3, 3] for record in records])
     return dead_reckon(positions_m, np.stack([east, north, up], axis=1), times_s)
+
+
+def _travel_deg(records: Sequence[Record]) -> tuple[float, float] | None:
+    """See Track.travel_deg."""
+    steps_m = np.diff([record.T_mercator_imu[:2, 3] for record in records], axis=0)
+    forward, left, _ = (_unless_empty(column) for column in np.array([record.velocity_m_s for record in records[1:]]).T)
+    moving = (np.linalg.norm(steps_m, axis=1) > MOVING_M) & np.isfinite(left) & (forward > MOVING_M_S)
+    if np.count_nonzero(moving) < FEWEST_STEPS:
+        return None
+    yaw = np.unwrap([record.yaw for record in records])
+    aside = np.arctan2(steps_m[:, 1], steps_m[:, 0]) - (yaw[1:] + yaw[:-1]) / 2
+    aside = (aside + np.pi) % (2 * np.pi) - np.pi
+    by_velocity = np.arctan2(left, forward)
+    return float(np.degrees(np.median(aside[moving]))), float(np.degrees(np.median(by_velocity[moving])))
 
 
 def _unless_empty(column: Floats) -> Floats:

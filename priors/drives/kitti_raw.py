@@ -130,6 +130,10 @@ class KittiRaw(CameraDrive):
         of_files = super().fingerprint()
         return revise(of_files, DEAD_RECKONING) if self._track.dead_reckoned else of_files
 
+    def travel_deg(self) -> tuple[float, float] | None:
+        """Return at which angle to its heading the drive travels, to the left, by positions and by velocities."""
+        return self._track.travel_deg()
+
     def sources(self) -> list[Path]:
         """List the files of calibration and poses."""
         files = {path.name: path for home in reversed(self._homes) for path in home.parent.glob("calib_*.txt")}
