@@ -28,6 +28,7 @@ from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
+from nerf.split import split
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
 from priors import cache
@@ -39,6 +40,7 @@ from priors.machine import threads
 from priors.machine.device import pick_device
 from priors.owner.claim import Claim, hold, owner_of
 from priors.records import earlier, restore
+from priors.selection import select
 from priors.types import Drive
 
 FORMAT = 1
@@ -239,6 +241,7 @@ def begin(
         DataError: the folder holds a run with other settings.
     """
     config = RunConfig.of(drive, prior, scene or SceneConfig(), fit or FitConfig())
+    split(len(select(drive.ids, config.frames)), config.views)  # what cannot be is told before a folder is made
     if folder is None:
         folder = Path("runs") / f"{drive.name}-{config.title}"
     return replace(claim(folder, config), progress=progress, source=drive)

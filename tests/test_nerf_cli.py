@@ -355,3 +355,11 @@ def another_street() -> Path:
     """Write another street here."""
     write_street(Path("other"), 2, 4, SIZE)
     return Path("other")
+
+
+def test_views_that_the_drive_does_not_have_leave_no_run(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(capsys, "fit", home / "street", "--views", "50", "--run", tmp_path / "run")
+    assert "--views 50: expected dense, sparse or a number from 1 to 9" in said
+    assert not (tmp_path / "run").exists()
