@@ -1,14 +1,18 @@
 """Fit settings: what is trained, by which losses, for how long. A run's config.json holds them."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, TypeAlias
 
 from nerf.losses import LossConfig
 from nerf.optimise import OptimiserConfig
 from nerf.sample import SamplerConfig
-from priors.errors import LARGEST_SEED, expect, expect_between
+from priors.errors import LARGEST_SEED, expect, expect_between, expect_choices
 
 MOST_RAYS, MOST_STEPS = 1 << 20, 10**9
+Align: TypeAlias = Literal["auto", "none"]
+"""What is done to a prior before a fit."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +50,14 @@ class FitConfig:
     """Or stop after this time; how far it gets depends on the machine."""
     seed: int = 0
     """Decides weights, rays and sample positions."""
+    align: Align = "auto"
+    """auto: check the prior against the posed images, bring it to their scale, and leave out what they contradict;
+    none: take it as it is."""
+
+    BEFORE: ClassVar[Mapping[str, Any]] = {"align": "none"}
 
     def __post_init__(self) -> None:
+        expect_choices(self, "")
         expect_between(1, self.rays, MOST_RAYS, "--rays")
         expect_between(1, self.steps, MOST_STEPS, "--steps")
         timed = self.seconds is not None and 0 < self.seconds < math.inf

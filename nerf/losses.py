@@ -54,7 +54,7 @@ class LossConfig:
     """Smallest standard deviation of the prior, metres."""
     by_confidence: bool = True
     """Weight rays by the prior's confidence, the probability that it is right."""
-    trim: float = 0.0
+    trim: float = 0.05
     """Share of each batch's prior rays, those with the largest depth loss, that is left out."""
     distortion: float = 1e-3
     """Weight of mip-NeRF 360's distortion loss."""
@@ -63,7 +63,7 @@ class LossConfig:
     sky_opacity: float = 0.001
     """Weight of what stops the light of rays into the sky, where there is a prior; 0: the sky may be solid."""
 
-    BEFORE: ClassVar[Mapping[str, Any]] = {"sky_opacity": 0.0}
+    BEFORE: ClassVar[Mapping[str, Any]] = {"sky_opacity": 0.0, "trim": 0.0}
 
     def __post_init__(self) -> None:
         expect_choices(self, "")

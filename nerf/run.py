@@ -20,6 +20,7 @@ from eval.files import write_bytes
 from eval.lpips import Lpips
 from nerf import cameras, checkpoint, fields, journal, origin
 from nerf.config import FitConfig
+from nerf.evidence.check import Checked, check
 from nerf.fit import OnStep, fit
 from nerf.model import Model, ShowsScene
 from nerf.naming import labels
@@ -70,6 +71,8 @@ class RunConfig:
     """What the prior passes before it is used."""
     fit: FitConfig
     """Everything else."""
+    finding: dict[str, Any] | None = None
+    """What was found of the prior before the fit (nerf/evidence/finding.py); None: it was not looked for."""
 
     @classmethod
     def of(cls, drive: Drive, prior: Prior | None, scene: SceneConfig, fit: FitConfig) -> "RunConfig":
@@ -111,14 +114,22 @@ class Run:
         """The run's drive."""
         return self.source or reopen(self.config.drive)
 
-    @cached_property
+    @property
     def scene(self) -> Scene:
-        """The run's scene; what was prepared already is used again."""
+        """The run's scene, its prior as the check leaves it; what was prepared already is used again."""
+        return self.checked.scene
+
+    @cached_property
+    def checked(self) -> Checked:
+        """The run's scene, and what was found of its prior."""
         prior = None if self.config.prior is None else cache.only(Path(self.config.prior))
         with threads.limited(None):
             home = self.folder.parent / SCENES
             before = checkpoint.origin_of(self.folder)
-            return open_scene(self.drive, prior, self.config.scene, home, self.progress, before)
+            scene = open_scene(self.drive, prior, self.config.scene, home, self.progress, before)
+        if self.config.fit.align == "none":
+            return Checked(scene, None)
+        return check(scene, needed=not fields.is_trained(self.config.fit.model.family))
 
     def fit(self, device: str = "auto", on_step: OnStep = lambda status: None) -> Model:
         """Train until the budget is spent, or go on where the run was left; see nerf.fit.fit.
@@ -131,7 +142,9 @@ class Run:
             DataError: another process fits this run, or see nerf.fit.fit.
         """
         with self.held() as claim:
-            _write(self.folder, self.config)  # of two that began at once, the one that trains has described the run
+            found = self.checked.finding
+            config = replace(self.config, finding=None if found is None else asdict(found))
+            _write(self.folder, config)  # of two that began at once, the one that trains has described the run
             cameras.keep(self.folder, self.scene)
             device = pick_device(device)
             model = fit(self.scene, self.config.fit, self.folder, on_step, device, lambda: claim.lost)
@@ -356,4 +369,5 @@ def _comparable(config: RunConfig) -> dict[str, Any]:
     record = json.loads(json.dumps(asdict(config)))
     for budget in ("steps", "seconds"):
         record["fit"].pop(budget)
+    record.pop("finding")
     return record

@@ -11,6 +11,7 @@ import numpy.typing as npt
 import torch
 
 from nerf import origin
+from nerf.evidence.corrected import Corrected
 from nerf.origin import Offset
 from nerf.stack import Stack
 from nerf.types import Rays
@@ -37,7 +38,7 @@ class Scene:
     """(frames, 4, 4) in the scene's frame, metres."""
     images: Stack | npt.NDArray[np.uint8]
     """(frames, height, width, 3)"""
-    depth_m: Stack | npt.NDArray[np.float32] | None
+    depth_m: Stack | Corrected | npt.NDArray[np.float32] | None
     """(frames, height, width) the prior, 0 = no value; frames the prior lacks are all 0."""
     weight: Stack | npt.NDArray[np.uint8] | None
     """(frames, height, width) the prior's confidence x 255."""

@@ -24,6 +24,7 @@ class Stack:
     """An array (frames, height, width, ...) in a file: stack[i] reads a frame, stack[frames, rows, columns] pixels."""
 
     def __init__(self, path: Path) -> None:
+        self.path = path
         with path.open("rb") as file:
             np.lib.format.read_magic(file)
             self.shape, _, self.dtype = np.lib.format.read_array_header_1_0(file)

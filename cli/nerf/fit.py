@@ -12,7 +12,7 @@ from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
 from nerf import checkpoint, fields, origin
 from nerf.checkpoint import Spent
-from nerf.config import FitConfig, ModelConfig
+from nerf.config import Align, FitConfig, ModelConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.run import Run, RunConfig, begin
@@ -58,6 +58,9 @@ class FitArguments(ThreadArguments, DriveArguments):
     """Rays in a step."""
     seed: int = 0
     """Decides weights, rays and sample positions."""
+    align: Align = "auto"
+    """auto: check the prior against the posed images, bring it to their scale, and leave out what they contradict;
+    none: take it as it is."""
     width: int = 64
     """Neurons of the hidden layers."""
     device: Device = "auto"
@@ -83,7 +86,8 @@ class FitArguments(ThreadArguments, DriveArguments):
         """Return what decides the fit's outcome."""
         timed = None if self.steps is not None else seconds(self.time)
         model = ModelConfig(family=self.field, width=self.width, sampler=self.sampler)
-        return FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
+        budget = {"steps": self.steps, "seconds": timed}
+        return FitConfig(model, self.losses, rays=self.rays, seed=self.seed, align=self.align, **budget)
 
 
 ARGUMENTS = {"nerf fit": FitArguments}
@@ -110,6 +114,9 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     err.print(f"run: {this_run.folder}")
     scene, before = this_run.scene, checkpoint.spent(this_run.folder)
     _tell(scene, this_run.config, before)
+    finding = this_run.checked.finding
+    for line in [] if finding is None else finding.told(Path(str(this_run.config.prior)).name):
+        err.print(line)
     with fit_progress("training") as on_step:
         this_run.fit(args.device, on_step)
     if fields.is_trained(args.field) and before.step == checkpoint.spent(this_run.folder).step:

@@ -1,7 +1,7 @@
 """`nerf study`: a grid of runs and its table."""
 
 import shlex
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from dataclasses import field as made_by
 from pathlib import Path
 from typing import Literal
@@ -85,7 +85,8 @@ class StudyArguments(ThreadArguments, DriveArguments):
     def fit(self) -> FitConfig:
         """Return what all fits have in common."""
         timed = None if self.steps is not None else seconds(self.time)
-        return FitConfig(losses=self.losses, steps=self.steps, seconds=timed)
+        losses = replace(self.losses, trim=0.0)  # the study takes its priors as they are
+        return FitConfig(losses=losses, steps=self.steps, seconds=timed, align="none")
 
     def grid(self) -> Study:
         """Return the grid that was asked for."""
@@ -157,6 +158,7 @@ def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
     parts += ["--frames", args.frames] if args.frames else []
     if spec.prior != NONE:
+        parts += ["--align", "none", "--trim", "0"]
         parts += ["--prior", spec.prior, *(["--loss", spec.loss] if spec.loss else [])]
         record = {name: value for name, value in asdict(spec).items() if name in SHARES}
         parts += [word for name, value in record.items() if value is not None for word in (f"--{name}", f"{value:g}")]

@@ -1,0 +1,74 @@
+"""Scale: by which factor a prior's depths suit the posed images, and which share of them does not suit.
+
+Patches of a frame are looked for in the frames next to it at their depth times each of some factors. The factor at
+which they are most alike on average is the scale: wrong values, be they a third of all, are alike nowhere together.
+"""
+
+import numpy as np
+import numpy.typing as npt
+
+from nerf.evidence.patches import Pixels, Shot, likeness, textured
+
+Floats = npt.NDArray[np.float32]
+
+FACTORS = np.exp(np.linspace(-np.log(12), np.log(12), 51))
+"""From a twelfth to twelve, 10 % apart."""
+SAME = 25
+"""Which of them is 1."""
+PATCHES = 800
+"""Of a frame."""
+FEWEST = 100
+"""Fewer say nothing."""
+DECISIVE = 0.02
+"""How much more alike patches must be, on average, at another scale before it is believed."""
+FOUND, BETTER = 0.75, 0.25
+"""A patch is found where its best likeness is at least the first, and at another depth where it is better by the second
+than at its own."""
+
+
+def look(shots: list[Shot], depth_m: Floats, seed: int) -> Floats:
+    """Look for patches of the first shot in the others.
+
+    Args:
+        shots: a frame, and those next to it.
+        depth_m: (h, w) its depth, metres; 0 = no value.
+        seed: which patches are drawn.
+
+    Returns:
+        (n, FACTORS) the likeness of each patch at each factor, the best among the others, in [0, 1].
+    """
+    pixels = np.flatnonzero(textured(shots[0].grey) & (depth_m > 0) & np.isfinite(depth_m))
+    chosen = np.random.default_rng(seed).permutation(pixels)[:PATCHES]
+    row, column = np.divmod(chosen, depth_m.shape[1])
+    these = Pixels(row, column, depth_m.ravel()[chosen].astype(np.float64))
+    seen = [np.nan_to_num(likeness(shots[0], these, other, FACTORS), nan=0.0) for other in shots[1:]]
+    return np.clip(np.max(seen, axis=0, initial=0.0), 0, 1)
+
+
+def scale_of(alike: Floats) -> float | None:
+    """Return the factor that suits patches (n, FACTORS), 1.0 where none is decisively better; None: they cannot tell.
+
+    The peak is refined by a parabola through it and its neighbours. Less than half a step of FACTORS is no error.
+    """
+    if len(alike) < FEWEST:
+        return None
+    mean = alike.mean(axis=0)
+    peak = int(mean.argmax())
+    if mean[peak] - np.median(mean) < DECISIVE:
+        return None
+    if abs(peak - SAME) <= 1 or mean[peak] - mean[SAME] < DECISIVE:
+        return 1.0
+    if not 0 < peak < len(mean) - 1:
+        return None
+    before, top, after = mean[peak - 1 : peak + 2]
+    bend = before - 2 * top + after
+    shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
+    step = np.log(FACTORS[1] / FACTORS[0])
+    return float(FACTORS[peak] * np.exp(shift * step))
+
+
+def wrong_share(alike: Floats) -> float:
+    """Return which share of the patches (n, FACTORS) that are found at all are found at another depth; none: 0."""
+    own, best = alike[:, SAME - 1 : SAME + 2].max(axis=1), alike.max(axis=1)
+    found = best > FOUND
+    return float((own < best - BETTER)[found].mean()) if found.any() else 0.0
