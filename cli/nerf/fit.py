@@ -1,6 +1,6 @@
 """`nerf fit`: train a field and score it."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -86,8 +86,8 @@ class FitArguments(ThreadArguments, DriveArguments):
         """Return what decides the fit's outcome."""
         timed = None if self.steps is not None else seconds(self.time)
         model = ModelConfig(family=self.field, width=self.width, sampler=self.sampler)
-        budget = {"steps": self.steps, "seconds": timed}
-        return FitConfig(model, self.losses, rays=self.rays, seed=self.seed, align=self.align, **budget)
+        made = FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
+        return replace(made, align=self.align)
 
 
 ARGUMENTS = {"nerf fit": FitArguments}

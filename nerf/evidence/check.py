@@ -20,7 +20,7 @@ from eval.files import write_bytes
 from nerf.evidence.corrected import Corrected
 from nerf.evidence.finding import Finding
 from nerf.evidence.patches import Shot
-from nerf.evidence.scale import look, scale_of, wrong_share
+from nerf.evidence.scale import FACTORS, look, scale_of, wrong_share
 from nerf.evidence.votes import Council
 from nerf.scene import Scene
 from nerf.stack import Stack, StackWriter
@@ -89,30 +89,32 @@ class _Check:
     def run(self) -> Kept:
         """Look, align, vote, and look again."""
         frames = [position for position in self.scene.train if (self._depth_m(position) > 0).any()]
-        factors = np.ones(len(self.scene.ids), np.float32)
-        if len(frames) < 2:
-            return Finding(), None, factors
         near = {position: self._nearest(position, frames) for position in frames}
-        some = frames[:: -(-len(frames) // LOOKED_AT)]
+        factors = np.ones(len(self.scene.ids), np.float32)
+        some = frames[:: -(-len(frames) // LOOKED_AT)] if len(frames) > 1 else []
         alike = {position: self._look(position, near[position], self._depth_m(position)) for position in some}
-        scale = scale_of(np.concatenate(list(alike.values())))
+        together = np.concatenate([*alike.values(), np.zeros((0, len(FACTORS)), np.float32)])
+        before, scale = wrong_share(together), scale_of(together)
         if scale is None:
-            return Finding(), None, factors
+            if before is None or before <= MOST_WRONG:
+                return Finding(), None, factors
+            return Finding(patches=len(together), wrong=before, used=False), None, factors
         for position in frames:
             factors[position] = self._own_scale(alike.get(position), scale)
         trust = self._votes(frames, near, factors)
         aligned = Corrected(self.scene.depth_m, trust, factors)  # type: ignore[arg-type]
-        left = [self._look(position, near[position], aligned[position]) for position in some]
-        wrong, used = wrong_share(np.concatenate(left)), factors[frames]
-        finding = Finding(
-            patches=sum(map(len, left)),
-            scale=float(np.median(used)),
-            spread=(float(used.min()), float(used.max())),
-            dropped=self._dropped(aligned, frames),
-            wrong=wrong,
-            used=wrong <= MOST_WRONG,
+        after = wrong_share(
+            np.concatenate([self._look(position, near[position], aligned[position]) for position in some])
         )
-        return finding, trust, factors
+        wrong = float(before is not None) if after is None else after  # nothing is found any more, or never was
+        return self._finding(aligned, factors[frames], (frames, len(together)), wrong), trust, factors
+
+    def _finding(self, aligned: Corrected, factors: Floats, seen: tuple[list[int], int], wrong: float) -> Finding:
+        """Put together what was found of some frames, with their factors (f,), in so many patches."""
+        frames, patches = seen
+        spread = float(factors.min()), float(factors.max())
+        dropped = self._dropped(aligned, frames)
+        return Finding(patches, float(np.median(factors)), spread, dropped, wrong, wrong <= MOST_WRONG)
 
     def _own_scale(self, alike: Floats | None, drive: float) -> float:
         """Return a frame's scale: the drive's, unless its own patches (n, FACTORS) say another near it."""
@@ -188,7 +190,8 @@ def _read(scene: Scene) -> Kept | None:
     record = json.loads(place.with_suffix(".json").read_text(encoding="utf-8"))
     factors = np.array(record.pop("factors"), np.float32)
     finding = Finding(**(record | {"spread": tuple(record["spread"])}))
-    return finding, Stack(place.with_suffix(".npy")) if finding.patches else None, factors
+    trust = place.with_suffix(".npy")
+    return finding, Stack(trust) if trust.exists() else None, factors
 
 
 def _keep(scene: Scene, finding: Finding, trust: Stack | npt.NDArray[np.uint8] | None, factors: Floats) -> Kept:

@@ -30,6 +30,6 @@ class Corrected:
     def __getitem__(self, index: int | tuple[npt.NDArray[Any], ...]) -> npt.NDArray[np.float32]:
         """Return a frame, or pixels by arrays (n,) of frame, row and column; always a copy."""
         frame = index[0] if isinstance(index, tuple) else index
-        kept = self._trust[index] >= LEAST_TRUST  # type: ignore[index]
-        depth_m = self._depth_m[index] * self._factors[frame]  # type: ignore[index]
+        kept = self._trust[index] >= LEAST_TRUST
+        depth_m = self._depth_m[index] * self._factors[frame]
         return np.where(kept, depth_m, np.float32(0)).astype(np.float32)

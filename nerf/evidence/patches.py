@@ -92,8 +92,9 @@ def _look(shot: Shot, place: Floats) -> tuple[npt.NDArray[np.bool_], npt.NDArray
     px = place[inside, :, :2] / np.maximum(place[inside, :, 2:], 1e-6)
     if not len(px):
         return inside, np.zeros(px.shape[:2], np.float32)
-    u, v = (np.ascontiguousarray(px[..., axis], dtype=np.float32) for axis in (0, 1))
-    return inside, cv2.remap(shot.grey, u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    x, y = (np.ascontiguousarray(px[..., axis], dtype=np.float32) for axis in (0, 1))
+    seen = cv2.remap(shot.grey, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+    return inside, np.asarray(seen, np.float32)
 
 
 def _correlation(a: npt.NDArray[np.float32], b: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:

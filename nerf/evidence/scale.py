@@ -67,8 +67,8 @@ def scale_of(alike: Floats) -> float | None:
     return float(FACTORS[peak] * np.exp(shift * step))
 
 
-def wrong_share(alike: Floats) -> float:
-    """Return which share of the patches (n, FACTORS) that are found at all are found at another depth; none: 0."""
+def wrong_share(alike: Floats) -> float | None:
+    """Return which share of the patches (n, FACTORS) that are found are found at another depth; None: too few are."""
     own, best = alike[:, SAME - 1 : SAME + 2].max(axis=1), alike.max(axis=1)
     found = best > FOUND
-    return float((own < best - BETTER)[found].mean()) if found.any() else 0.0
+    return float((own < best - BETTER)[found].mean()) if np.count_nonzero(found) >= FEWEST else None

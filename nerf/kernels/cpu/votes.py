@@ -5,8 +5,6 @@ Inverse depths (1/m), matrices (3, 4) between views and `land` are those of warp
 
 from typing import NamedTuple
 
-import numpy as np
-
 from nerf.kernels.cpu.warp_draw import NONE, Floats, Matrices, land
 from priors.machine.compiled import compiled
 

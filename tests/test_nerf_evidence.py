@@ -1,0 +1,179 @@
+"""The check of a prior: it finds another scale, gross errors and what does not belong, and leaves a right one be."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.ndimage import map_coordinates
+
+from nerf.config import FitConfig
+from nerf.evidence import check as checking
+from nerf.evidence.check import check
+from nerf.evidence.corrected import Corrected
+from nerf.evidence.finding import Finding
+from nerf.evidence.votes import RULES
+from nerf.kernels.cpu.votes import STRIDE, Voter, pool, vote
+from nerf.kernels.cpu.warp_draw import NONE
+from nerf.scene import Scene
+from nerf.stack import Stack, StackWriter
+from nerf.warp.model import between
+from priors.geometry import rays as pixel_rays
+from priors.records import earlier
+from tests.reference import votes as slow
+from tests.test_nerf_fit import CAMERA, SIZE, corridor
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """The corridor, its surfaces covered with spots of 0.6 m."""
+    plain, spots = corridor(), np.random.default_rng(1).uniform(0, 255, (32, 32, 32))
+    images = np.array(plain.images)
+    for position, pose in enumerate(plain.T_world_cam):
+        place_m = pixel_rays(CAMERA) * maps(plain)[position][..., None] + pose[:3, 3]
+        paint = map_coordinates(spots, np.moveaxis(place_m / 0.6, -1, 0), order=1, mode="grid-wrap")
+        seen = maps(plain)[position] > 0
+        images[position][seen] = np.rint(paint[seen])[:, None]
+    return replace(plain, images=images)
+
+
+def maps(scene: Scene) -> np.ndarray:
+    assert scene.depth_m is not None
+    return np.stack([scene.depth_m[position] for position in range(len(scene.ids))])
+
+
+def with_maps(scene: Scene, depth_m: np.ndarray) -> Scene:
+    return replace(scene, depth_m=depth_m.astype(np.float32))
+
+
+def used(scene: Scene) -> np.ndarray:
+    """The maps of the training frames that a fit would see."""
+    assert scene.depth_m is not None
+    return np.stack([scene.depth_m[position] for position in scene.train])
+
+
+def test_a_right_prior_is_left_as_it_is(scene: Scene) -> None:
+    checked = check(scene)
+    assert checked.finding is not None
+    assert (checked.finding.scale, checked.finding.spread, checked.finding.used) == (1.0, (1.0, 1.0), True)
+    assert checked.finding.patches > 1000
+    assert checked.finding.dropped < 0.02
+    now, then = used(checked.scene), used(scene)
+    assert np.array_equal(now[now > 0], then[now > 0])
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.5, 0.7, 2.0, 8.0])
+def test_another_scale_is_found_and_mended(scene: Scene, factor: float) -> None:
+    checked = check(with_maps(scene, factor * maps(scene)))
+    assert checked.finding is not None
+    assert checked.finding.scale == pytest.approx(1 / factor, rel=0.04)
+    assert checked.finding.used
+    assert "scale" in checked.finding.told("it")[0]
+    now, true = used(checked.scene), used(scene)
+    off = np.abs(now / np.where(true > 0, true, 1) - 1)[now > 0]
+    assert np.median(off) < 0.04
+
+
+def test_a_scale_that_drifts_is_followed(scene: Scene) -> None:
+    drift = 1 + 0.2 * np.sin(np.arange(len(scene.ids)) / 3)
+    checked = check(with_maps(scene, maps(scene) * drift[:, None, None]))
+    assert checked.finding is not None
+    now, true = used(checked.scene), used(scene)
+    kept = now > 0
+    left = np.array([np.median(n[k] / t[k]) for n, t, k in zip(now, true, kept, strict=True)])
+    assert np.abs(left - 1).max() < 0.1
+    assert np.abs(left - 1).mean() < 0.5 * np.abs(drift[scene.train] - 1).mean()
+    assert "from frame to frame" in checked.finding.told("it")[0]
+
+
+@pytest.mark.parametrize("factor", [10.0, 0.1])
+@pytest.mark.parametrize("side", [1, 5], ids=["at random", "in blobs"])
+def test_gross_errors_are_left_out(scene: Scene, side: int, factor: float) -> None:
+    """30 % of the values wrong by 10x."""
+    random, depth_m = np.random.default_rng(5), maps(scene)
+    coarse = random.random((len(depth_m), -(-SIZE[0] // side), -(-SIZE[1] // side))) < 0.3
+    wrong = np.repeat(np.repeat(coarse, side, axis=1), side, axis=2)[:, : SIZE[0], : SIZE[1]]
+    checked = check(with_maps(scene, np.where(wrong, factor, 1) * depth_m))
+    assert checked.finding is not None
+    assert checked.finding.scale == 1
+    assert checked.finding.used
+    now, there = used(checked.scene) > 0, used(scene) > 0
+    bad = wrong[scene.train] & there
+    assert (now & bad).sum() < 0.25 * bad.sum()
+    assert (now & ~bad).sum() > 0.85 * (there & ~bad).sum()
+    assert "contradict" in checked.finding.told("it")[0]
+
+
+def test_a_prior_of_something_else_is_left_out(scene: Scene) -> None:
+    """Maps of another place: each frame has a wall where it pleases."""
+    walls_m = np.random.default_rng(3).uniform(2, 60, (len(scene.ids), 1, 1)) * np.ones(SIZE)
+    other = with_maps(scene, walls_m)
+    checked = check(other)
+    assert checked.finding is not None
+    assert not checked.finding.used
+    assert checked.scene.depth_m is None
+    assert "goes on by colours" in checked.finding.told("it")[0]
+    needed = check(other, needed=True)
+    assert needed.scene.depth_m is not None
+
+
+def test_what_images_cannot_tell_is_used_as_it_is(scene: Scene) -> None:
+    still = replace(scene, T_world_cam=np.tile(np.eye(4), (len(scene.ids), 1, 1)))
+    blank = replace(scene, images=np.full_like(scene.images, 128))
+    for poor in (still, blank, replace(scene, train=scene.train[:1])):
+        checked = check(poor)
+        assert checked.finding == Finding()
+        assert np.array_equal(used(checked.scene), used(poor))
+        assert "could not be checked" in checked.finding.told("it")[0]
+
+
+def test_held_out_frames_take_no_part(scene: Scene) -> None:
+    blind = with_maps(scene, maps(scene))
+    blind.depth_m[scene.test] = 7.0  # type: ignore[index]
+    images = np.array(scene.images)
+    images[scene.test] = 0
+    assert check(replace(blind, images=images)).finding == check(scene).finding
+
+
+def test_it_is_checked_once(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with StackWriter(tmp_path / "depth.npy", maps(scene).shape, np.float32) as file:
+        for each in 0.5 * maps(scene):
+            file.add(each)
+    filed = replace(scene, depth_m=Stack(tmp_path / "depth.npy"))
+    first = check(filed)
+    monkeypatch.setattr(checking, "_Check", None)
+    again = check(filed)
+    assert again.finding == first.finding
+    assert isinstance(again.scene.depth_m, Corrected)
+    assert np.array_equal(used(again.scene), used(first.scene))
+    pixels = np.array([0, 4]), np.array([20, 3]), np.array([5, 60])
+    assert np.array_equal(
+        again.scene.depth_m[pixels], np.array([again.scene.depth_m[0][20, 5], again.scene.depth_m[4][3, 60]])
+    )
+
+
+def test_earlier_runs_took_priors_as_they_are() -> None:
+    before = earlier(FitConfig())
+    assert before.align == "none"
+    assert before.losses.trim == 0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_kernels_equal_their_slow_twin(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    inverse, other = (
+        np.where(random.random(SIZE) < 0.7, random.choice([0.02, 0.1, 0.12, 0.6], SIZE), NONE).astype(np.float32)
+        for _ in range(2)
+    )
+    poses = np.tile(np.eye(4), (2, 1, 1))
+    poses[1, :3, 3] = (0.2, 0.1, 1.0)
+    there, here = (between(CAMERA, poses[a], CAMERA, poses[1 - a]) for a in (0, 1))
+    voter = Voter(other, random.random(SIZE, dtype=np.float32), here, there)
+    ballot = np.zeros((2, *SIZE), np.float32)
+    vote(inverse, voter, RULES, ballot)
+    np.testing.assert_allclose(ballot, slow.vote(inverse, voter, RULES), rtol=1e-4, atol=1e-5)
+    assert (ballot > 0).any(axis=(1, 2)).all()
+    shared = np.zeros_like(ballot)
+    pool(inverse, ballot, RULES, 0, SIZE[0], shared)
+    expected = slow.pool(inverse, ballot, RULES, STRIDE)
+    np.testing.assert_allclose(shared[:, inverse > 0], expected[:, inverse > 0], rtol=1e-4, atol=1e-4)
