@@ -26,8 +26,12 @@ from tests.test_nerf_fit import CAMERA, SIZE, corridor
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
+    return spotted(corridor())
+
+
+def spotted(plain: Scene) -> Scene:
     """The corridor, its surfaces covered with spots of 0.6 m."""
-    plain, spots = corridor(), np.random.default_rng(1).uniform(0, 255, (32, 32, 32))
+    spots = np.random.default_rng(1).uniform(0, 255, (32, 32, 32))
     images = np.array(plain.images)
     for position, pose in enumerate(plain.T_world_cam):
         place_m = pixel_rays(CAMERA) * maps(plain)[position][..., None] + pose[:3, 3]
@@ -74,14 +78,15 @@ def test_another_scale_is_found_and_mended(scene: Scene, factor: float) -> None:
     assert np.median(off) < 0.04
 
 
-def test_a_scale_that_drifts_is_followed(scene: Scene) -> None:
+def test_a_scale_that_drifts_is_followed() -> None:
+    scene = spotted(corridor("sparse", count=30))
     drift = 1 + 0.2 * np.sin(np.arange(len(scene.ids)) / 3)
     checked = check(with_maps(scene, maps(scene) * drift[:, None, None]))
     assert checked.finding is not None
     now, true = used(checked.scene), used(scene)
     kept = now > 0
     left = np.array([np.median(n[k] / t[k]) for n, t, k in zip(now, true, kept, strict=True)])
-    assert np.abs(left - 1).max() < 0.1
+    assert np.abs(left - 1).max() < 0.15  # factors are 10 % apart, and one step is no error
     assert np.abs(left - 1).mean() < 0.5 * np.abs(drift[scene.train] - 1).mean()
     assert "from frame to frame" in checked.finding.told("it")[0]
 

@@ -37,6 +37,8 @@ SURE = 0.2
 """Confidence from which on a value is looked for and votes fully counted: below it, it guides nothing anyway."""
 MOST_WRONG = 0.25
 """Share of found patches at another depth above which a prior hurts."""
+MOST_DROPPED = 0.5
+"""Share of the values that other frames contradict above which nothing is known of those that are left."""
 WITHIN = 1.5
 """A frame's own scale is believed where it is within this factor of the drive's."""
 TURN_M = 10.0
@@ -114,7 +116,8 @@ class _Check:
         frames, patches = seen
         spread = float(factors.min()), float(factors.max())
         dropped = self._dropped(aligned, frames)
-        return Finding(patches, float(np.median(factors)), spread, dropped, wrong, wrong <= MOST_WRONG)
+        used = wrong <= MOST_WRONG and dropped <= MOST_DROPPED
+        return Finding(patches, float(np.median(factors)), spread, dropped, wrong, used)
 
     def _own_scale(self, alike: Floats | None, drive: float) -> float:
         """Return a frame's scale: the drive's, unless its own patches (n, FACTORS) say another near it."""

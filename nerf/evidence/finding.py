@@ -28,10 +28,10 @@ class Finding:
         if not self.patches:
             return [f"prior: {prior} could not be checked: the images overlap or move too little"]
         if not self.used:
-            return [
-                f"prior: {prior} is left out, the fit goes on by colours: {self.wrong:.0%} of what other images show"
-                " lies at another depth (--align none uses it as it is)"
-            ]
+            cause = f"{self.wrong:.0%} of what other images show lies at another depth"
+            if self.dropped > self.wrong:
+                cause = f"{self.dropped:.0%} of its values contradict other frames'"
+            return [f"prior: {prior} is left out, the fit goes on by colours: {cause} (--align none uses it as it is)"]
         lines = []
         if self.scale != 1 or self.spread != (1.0, 1.0):
             size = "too near" if self.scale > 1 else "too far"
