@@ -66,7 +66,7 @@ def test_a_right_prior_is_left_as_it_is(scene: Scene) -> None:
     assert np.array_equal(now[now > 0], then[now > 0])
 
 
-@pytest.mark.parametrize("factor", [0.1, 0.5, 0.7, 2.0, 8.0])
+@pytest.mark.parametrize("factor", [0.5, *(pytest.param(x, marks=pytest.mark.slow) for x in (0.1, 0.7, 2.0, 8.0))])
 def test_another_scale_is_found_and_mended(scene: Scene, factor: float) -> None:
     checked = check(with_maps(scene, factor * maps(scene)))
     assert checked.finding is not None
@@ -78,6 +78,7 @@ def test_another_scale_is_found_and_mended(scene: Scene, factor: float) -> None:
     assert np.median(off) < 0.04
 
 
+@pytest.mark.slow
 def test_a_scale_that_drifts_is_followed() -> None:
     scene = spotted(corridor("sparse", count=30))
     drift = 1 + 0.2 * np.sin(np.arange(len(scene.ids)) / 3)
@@ -132,6 +133,7 @@ def test_what_images_cannot_tell_is_used_as_it_is(scene: Scene) -> None:
         assert "could not be checked" in checked.finding.told("it")[0]
 
 
+@pytest.mark.slow
 def test_held_out_frames_take_no_part(scene: Scene) -> None:
     blind = with_maps(scene, maps(scene))
     blind.depth_m[scene.test] = 7.0  # type: ignore[index]
