@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from priors import cache
+from priors.build.decided import ENTRY
 from priors.build.plan import Judge, Plan, make_plan
 from priors.build.work import CLAIMS, Work, tidy
 from priors.cache import Prior
@@ -110,8 +111,12 @@ class Job:
                 self.prior.journal.append({**lines[frame_id], "made_of": sources})
 
     def _manifest_is_old(self) -> bool:
-        """Tell whether the manifest must be written though no map is made: the drive has moved, or it is damaged."""
+        """Tell whether the manifest must be written though no map is made.
+
+        The drive has moved, what 'auto' came to is not in it, or it is damaged.
+        """
         try:
-            return cache.load(self.prior.folder).drive != self.prior.drive
+            there = cache.load(self.prior.folder)
+            return there.drive != self.prior.drive or there.manifest.get(ENTRY) != self.prior.manifest.get(ENTRY)
         except DataError:
             return True

@@ -4,6 +4,7 @@ A watched frame notes each call of its readers, and each reader that was asked f
 
     "image": {"file": "0000000005.png", "bytes": 801234, "modified_ns": 1321012345000000000, "sha256": "9f86d0..."}
     "sweep -5": null                                    the sweep five frames before: the drive has no such file
+    "sweep.times": {...}                                another file that all calls of "sweep" read
     "other": null                                       the frame has no reader of that name
 
 A map is stale when one of these calls now means a file of another content, or is answered where it was not. Names are
@@ -88,11 +89,17 @@ class _Readers(Mapping[str, Callable[..., Any]]):
         return False
 
     def _read(self, what: str, reader: Callable[..., Any], *args: Any) -> Any:
-        call = " ".join([what, *map(str, args)])
+        self._note(" ".join([what, *map(str, args)]), what, *args)
+        for beside in self.frame.files:
+            if beside.startswith(f"{what}."):
+                self._note(beside, beside)
+        return reader(*args)
+
+    def _note(self, call: str, what: str, *args: Any) -> None:
+        """Note which file a call reads, as it is before that."""
         if call not in self.calls and what in self.frame.files:
             path = self.frame.files[what](*args)
             self.calls[call] = path, None if path is None else stamp_of(path)
-        return reader(*args)
 
 
 def watch(frame: Frame) -> Watch:

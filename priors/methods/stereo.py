@@ -79,6 +79,11 @@ class Stereo(Method):
         shift, tilt, yaw, pitch = (*(self.offset_px or ()), *NONE.offset_px)[:4]
         return RectificationError(shift, tilt, yaw, pitch, NONE.scale if self.scale is None else self.scale)
 
+    @property
+    def measures(self) -> bool:
+        """Tell that the rectification is measured; with a network, this machine also picks the runtime."""
+        return self.network is None and self.offset_px is None
+
     @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
         """Return the config with the runtime chosen, and the rectification error measured on this frame if not given.
