@@ -85,6 +85,7 @@ class Job:
             if self.prior.ids() and self._manifest_is_old():
                 cache.create(self.prior.folder, self.prior.manifest)
                 follow(self.prior)
+            self._note_decided()
             tidy(self.prior.folder / CLAIMS)
             return BuildReport(self.prior, plan, failed=dict(plan.failed))
         for note in self.method.notes():
@@ -110,13 +111,16 @@ class Job:
             for frame_id, sources in plan.restamped.items():
                 self.prior.journal.append({**lines[frame_id], "made_of": sources})
 
-    def _manifest_is_old(self) -> bool:
-        """Tell whether the manifest must be written though no map is made.
+    def _note_decided(self) -> None:
+        """Keep what was measured in a manifest that lacks it; one of an earlier format stays as it is."""
+        with suppress(DataError, OSError):  # a cache that cannot be written: it is measured each time
+            there, own = cache.load(self.prior.folder).manifest, self.prior.manifest
+            if ENTRY in own and there.get(ENTRY) != own[ENTRY] and there["format"] == own["format"]:
+                cache.create(self.prior.folder, {**there, ENTRY: own[ENTRY]})
 
-        The drive has moved, what 'auto' came to is not in it, or it is damaged.
-        """
+    def _manifest_is_old(self) -> bool:
+        """Tell whether the manifest must be written though no map is made: the drive has moved, or it is damaged."""
         try:
-            there = cache.load(self.prior.folder)
-            return there.drive != self.prior.drive or there.manifest.get(ENTRY) != self.prior.manifest.get(ENTRY)
+            return cache.load(self.prior.folder).drive != self.prior.drive
         except DataError:
             return True
