@@ -52,6 +52,24 @@ def test_auto_takes_it_and_says_so(run: Run) -> None:
     assert "--stereo.model: not used by completion\n" in err and "reach" not in err
 
 
+def test_maps_whose_manifest_is_damaged_and_key_another_are_told(run: Run) -> None:
+    """This build would make its maps in another folder: an earlier version's key cannot be made out."""
+    write_folder(Path("mine"), ("a",), right=False)
+    (Path("mine") / "depth").rename("mine/sparse")
+    folder = Path("cache/mine/completion-0123456789")
+    (folder / "depth").mkdir(parents=True)
+    (folder / "depth" / "a.png").write_bytes(b"")
+    for text in ("{", None):
+        (folder / "manifest.json").unlink(missing_ok=True)
+        if text is not None:
+            (folder / "manifest.json").write_text(text)
+        code, _, err = run("mine", "--method", "completion", "--dry-run")
+        told = [line for line in err.splitlines() if f"left out: {folder}" in line]
+        assert code == 0 and len(told) == 1 and "put manifest.json back from a copy" in told[0]
+    (folder / "manifest.json").write_text('{"format": 99}')
+    assert "left out" not in run("mine", "--method", "completion", "--dry-run")[2], "not ours to judge"
+
+
 @pytest.mark.parametrize(
     ("flags", "says"),
     [

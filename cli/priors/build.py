@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, make_dataclass
 from glob import escape
 from pathlib import Path
@@ -18,6 +17,7 @@ from priors import build, methods
 from priors.advice import advise_method
 from priors.build import BuildReport, Job, Plan
 from priors.cache import load
+from priors.cache.manifest import NewerFormatError
 from priors.drives import poses_of
 from priors.errors import DataError, UsageError, expect_between
 from priors.filters import Filters
@@ -95,22 +95,27 @@ def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
     indices = select(drive.ids, args.selection.frames)  # wrong frames are told before anything is compiled
     method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
     job = build.prepare(drive, args.settings(method), args.filters, args.cache)
-    _tell_of_other_poses(job)
+    _tell_of_unused(job)
     return job, job.plan(args.selection)
 
 
-def _tell_of_other_poses(job: Job) -> None:
-    """Say which maps of this method lie there already, made with other poses of the drive: they are not mixed."""
+def _tell_of_unused(job: Job) -> None:
+    """Say which maps of this method lie there already and are not used: of other poses, or without their manifest."""
     if job.prior.ids():
         return
     own = poses_of(job.drive.describe())
-    siblings = sorted(job.prior.folder.parent.glob(f"{escape(job.method.name)}-*"))
-    for folder in siblings:
-        with suppress(DataError):
+    siblings = set(job.prior.folder.parent.glob(f"{escape(job.method.name)}-*")) - {job.prior.folder}
+    for folder in sorted(siblings):
+        try:
             made_with = poses_of(load(folder).drive)
             if made_with != own:
                 told = f"made with {made_with} poses, these are {own}"
                 err.print(f"{folder}: {told}: --poses {made_with} goes on with it")
+        except NewerFormatError:
+            continue  # `priors list` and `priors eval` name it
+        except DataError as error:
+            mend = f"Where an earlier version made it, put manifest.json back from a copy, or keep {job.prior.folder}"
+            err.print(f"left out: {error}. {mend}")
 
 
 def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> str:
