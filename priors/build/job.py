@@ -11,7 +11,10 @@ from priors.build.decided import ENTRY
 from priors.build.plan import Judge, Plan, make_plan
 from priors.build.work import CLAIMS, Work, tidy
 from priors.cache import Prior
+from priors.cache.learned import ENTRY as ENTRY_LEARNED
+from priors.cache.learned import Learned, WatchedDrive, keep
 from priors.cache.places import follow
+from priors.cache.sources import Digests
 from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
@@ -50,7 +53,9 @@ class Job:
     @cached_property
     def judge(self) -> Judge:
         """Tells of a frame whether it must be computed."""
-        return Judge(self.prior, (*self.method.reads, *self.filters.reads), self.distrust)
+        digests = Digests()
+        learned = Learned(self.prior.folder, self.drive, digests)
+        return Judge(self.prior, (*self.method.reads, *self.filters.reads), self.distrust, digests, learned)
 
     def plan(self, selection: Selection = ALL) -> Plan:
         """Choose the frames to compute; frames that are cached, still or lack an input are skipped with the reason.
@@ -98,11 +103,20 @@ class Job:
 
     def _work(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
-        make_depth = self.method.prepare(self.drive, self.prior.folder.parent / "weights", on_note)
+        watched = WatchedDrive(self.drive)
+        make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
+        learned = keep(self.prior.folder, watched.sources(self.judge.digests))
         cache.create(self.prior.folder, self.prior.manifest)
         follow(self.prior)
         self.prior.drop_stale()
-        return Work(self.drive, self.prior, self.judge, lambda frame: self.filters(make_depth(frame), frame), on_frame)
+        return Work(
+            self.drive,
+            self.prior,
+            self.judge,
+            lambda frame: self.filters(make_depth(frame), frame),
+            on_frame,
+            {} if learned is None else {ENTRY_LEARNED: learned},
+        )
 
     def _restamp(self, plan: Plan) -> None:
         """Note the times of files that were copied, so that the next plan need not read them."""

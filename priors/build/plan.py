@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from priors.cache import Prior
+from priors.cache.learned import Learned
 from priors.cache.sources import Digests, Sources, restamped, why_stale
 from priors.errors import DataError
 from priors.selection import MotionGate, Selection, select, shard
@@ -67,7 +68,9 @@ class Judge:
     """What a frame must have to be computed."""
     distrust: bool
     """Whether maps count only after they were read: the folder's manifest was damaged or missing."""
-    digests: Digests = field(default_factory=Digests)
+    digests: Digests
+    learned: Learned
+    """Tells whether what the method learned from the whole drive is stale."""
 
     def __call__(self, frame: Frame) -> Verdict:
         """Judge a frame by what the journal and the file system say now."""
@@ -75,9 +78,10 @@ class Judge:
         stale = None
         if damaged is None:
             record = self.prior.journal.entry(frame.id).record or {}
-            stale = why_stale(record.get("made_of"), frame, self.digests)
+            sources = record.get("made_of")
+            stale = why_stale(sources, frame, self.digests) or self.learned.why_stale(sources)
             if stale is None:
-                return Verdict(skip=CACHED, restamped=restamped(record.get("made_of"), frame))
+                return Verdict(skip=CACHED, restamped=restamped(sources, frame))
         lacking = [what for what in self.reads if not frame.has(what)]
         if lacking and damaged is None:
             return Verdict(skip=CACHED)  # what it was made of is gone, and nothing better can be made

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eval.files import STALE_S
+from priors.cache.learned import Learned
 from priors.cache.prior import CONFIDENCES, Prior
 from priors.cache.sources import Digests, why_stale
 from priors.errors import DataError
@@ -55,11 +56,13 @@ def audit(prior: Prior, drive: Drive | None, on_frame: Callable[[str], None] = l
 
 def _stale(prior: Prior, drive: Drive) -> Iterator[tuple[str, str]]:
     digests, lines = Digests(), prior.lines()
+    learned = Learned(prior.folder, drive, digests)
     for index, frame_id in enumerate(drive.ids):
         if frame_id not in lines or not prior.depth_path(frame_id).exists():
             continue
         try:
-            if reason := why_stale(lines[frame_id].get("made_of"), drive[index], digests):
+            sources = lines[frame_id].get("made_of")
+            if reason := why_stale(sources, drive[index], digests) or learned.why_stale(sources):
                 yield frame_id, reason
         except DataError as error:
             yield frame_id, str(error)
