@@ -239,7 +239,7 @@ def test_a_run_keeps_its_cameras(home: Path, alone: Path) -> None:
 def test_without_the_drive_a_field_is_shown_all_the_same(home: Path, alone: Path) -> None:
     np.savetxt(alone / "p.txt", [open_run(alone).viewpoints().T_world_cam[9][:3].ravel()])
     assert nerf("render", alone, "--poses", alone / "p.txt", "--out", alone / "new") == 0
-    assert nerf("export", alone, "--frames", "9") == 0 and (alone / "cloud.ply").exists()
+    assert nerf("export", alone, "--frames", "9", "--opacity", 0.0) == 0 and (alone / "cloud.ply").exists()
     shown = codecs.read_image(alone / "new" / "rgb" / "000000.png").astype(int)
     own = codecs.read_image(picture_path(home / "runs" / "prior" / "renders", "rgb", HELD_OUT))
     assert np.abs(shown - own).max() <= 2
@@ -363,3 +363,36 @@ def test_views_that_the_drive_does_not_have_leave_no_run(
     said = refused(capsys, "fit", home / "street", "--views", "50", "--run", tmp_path / "run")
     assert "--views 50: expected dense, sparse or a number from 1 to 9" in said
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed", "says"),
+    [
+        ("study {street} --views 2 50", "--views 50: expected"),
+        ("study {street} --frames 90:99", "--frames 90:99: no frames there; the drive has 0:10"),
+        ("fit {street} --frames 90:99", "--frames 90:99: no frames there"),
+        ("export {run} --frames 90:99", "--frames 90:99: no frames there"),
+        ("render {run} --frames 90:99", "--frames 90:99: no frames there"),
+        ("fit {street} --camera image_09", "no camera 'image_09'"),
+        ("fit {street} --drive other", "no drive 'other'"),
+    ],
+)
+def test_what_the_drive_does_not_have_is_a_wrong_flag(
+    home: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    typed: str,
+    says: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert nerf(*typed.format(street=home / "street", run=home / "runs" / "prior").split()) == 2
+    err = capsys.readouterr().err
+    assert says in err and err.count("error:") == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_field_that_has_learned_nothing_gives_no_cloud(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(capsys, "export", home / "runs" / "prior", "--frames", "2:3", "--out", tmp_path / "c.ply")
+    assert "c.ply: not written: the view holds no point of opacity 0.5" in said and not list(tmp_path.iterdir())
