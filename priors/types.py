@@ -236,6 +236,13 @@ class Method(ABC):
         """Whether `resolve` measures something in the frame's files, and asks this machine nothing: it is kept."""
         return False
 
+    def unread(self) -> Mapping[str, str]:
+        """Return the fields that these settings leave without effect, each with the settings that would read it.
+
+        The command line tells who sets one of them: {"size": "--stereo.model cfnet or pcwnet"}.
+        """
+        return {}
+
     def weights_digest(self) -> str | None:
         """Return the hash of the learned weights, for the cache's key; None where there are none."""
         return None

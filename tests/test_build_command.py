@@ -83,10 +83,39 @@ def test_flags_of_another_method_are_refused(run: Run, flags: tuple[str, ...], s
     refused(run("mine", "--method", "stereo", *flags), says)
 
 
+@pytest.mark.parametrize(
+    ("typed", "says"),
+    [
+        ("stereo --stereo.size m", "--stereo.size: not used as --method stereo is set: it is read with --stereo.model"),
+        ("stereo --stereo.runtime=fp32 --stereo.model classical", "--stereo.runtime: not used"),
+        ("stereo --stereo.model cfnet --stereo.weights x.onnx --stereo.size l", "--stereo.size: not used"),
+        ("completion --completion.size=m", "with --completion.model mffnet"),
+        ("completion --completion.source velodyne_raw --completion.lidar.no-motion", "with --completion.source lidar"),
+        ("mono --mono.adapt_s 5", "with --mono.adapt lidar"),
+        ("mono --mono.adapt lidar --mono.align-to lidar", "with --mono.align scale"),
+        ("mono --mono.align scale --mono.align-per frame --mono.hold-out none", "--mono.hold-out: not used"),
+        ("mono --mono.weights x.onnx --mono.size s", "--mono.size: not used"),
+    ],
+)
+def test_flags_that_the_chosen_model_does_not_read_are_refused(run: Run, typed: str, says: str) -> None:
+    write_folder(Path("mine"), ("a",))
+    refused(run("mine", "--method", *typed.split()), says)
+
+
+def test_what_turns_out_unread_is_named(run: Run) -> None:
+    write_folder(Path("mine"), ("a",), right=False)
+    (Path("mine") / "depth").rename("mine/sparse")
+    typed = ("--completion.lidar.sweeps", "3", "--completion.size", "m", "--dry-run")
+    for method in ("auto", "completion"):
+        code, _, err = run("mine", "--method", method, *(typed if method == "auto" else (*typed[:2], typed[-1])))
+        assert code == 0 and "--completion.lidar.sweeps: not used here: it is read with --completion.source" in err
+        assert ("--completion.size: not used here" in err) == (method == "auto")
+
+
 def test_frames_that_are_not_there_are_told_before_anything_is_compiled(run: Run) -> None:
     write_folder(Path("mine"), ("0", "1"))
     code, out, err = run("mine", "--method", "stereo", "--frames", "7:9")
-    assert code != 0 and not out and len(err.splitlines()) == 1
+    assert code == 2 and not out and len(err.splitlines()) == 1
     assert "--frames 7:9" in err and "the drive has 0:2" in err
 
 

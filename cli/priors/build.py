@@ -75,6 +75,7 @@ def run(arguments: list[str]) -> int:
 def _build(args: BuildArguments, typed: list[str]) -> int:
     if args.method not in (None, "auto"):
         _refuse_idle_flags(str(args.method), typed)
+        _refuse_unread(args.settings(str(args.method)), typed)
     with busy("looking at the drive"):
         job, plan = _prepare(args, typed)
     if args.dry_run:
@@ -95,6 +96,8 @@ def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
     indices = select(drive.ids, args.selection.frames)  # wrong frames are told before anything is compiled
     method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
     job = build.prepare(drive, args.settings(method), args.filters, args.cache)
+    for flag, reader in _unread_flags(job.method, typed).items():
+        err.print(f"{flag}: not used here: it is read with {reader}")
     _tell_of_unused(job)
     return job, job.plan(args.selection)
 
@@ -149,6 +152,22 @@ def _refuse_idle_flags(method: str, typed: list[str]) -> None:
         others = " or ".join(dict.fromkeys(str(_method_of(flag)) for flag in idle))
         what = "a flag" if len(idle) == 1 else "flags"
         raise UsageError(f"{', '.join(idle)}: {what} of --method {others}, not of {method}: leave out one or the other")
+
+
+def _unread_flags(method: Method, typed: list[str]) -> dict[str, str]:
+    """Return the flags that were typed of a method and that its settings leave without effect, with what reads them."""
+    unread, found = method.unread(), {}
+    for flag in (word.partition("=")[0] for word in typed if word.startswith("--")):
+        name, *parts = flag.removeprefix("--").replace("-", "_").split(".")
+        if name == method.name and parts and (field := parts[0].removeprefix("no_")) in unread:
+            found[flag] = unread[field]
+    return found
+
+
+def _refuse_unread(method: Method, typed: list[str]) -> None:
+    """Raise UsageError where a flag was typed that the method's other flags leave without effect."""
+    for flag, reader in _unread_flags(method, typed).items():
+        raise UsageError(f"{flag}: not used as --method {method.name} is set: it is read with {reader}")
 
 
 def _note(line: str) -> None:
