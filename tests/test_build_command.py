@@ -43,6 +43,20 @@ def test_without_a_method_it_says_what_the_drive_has(run: Run) -> None:
     refused(run("alone"), "alone has images alone", "--method auto takes mono")
 
 
+def test_a_mistyped_method_is_answered_with_those_there_are(run: Run) -> None:
+    write_folder(Path("mine"), ("a",))
+    done = run("mine", "--method", "sterio")
+    refused(done, "choose one of auto, ", "did you mean stereo?")
+    assert "None" not in done[2]
+
+
+def test_a_frame_that_failed_is_named_once(run: Run, raw_drive: Path) -> None:
+    (raw_drive.parent / "calib_imu_to_velo.txt").unlink()
+    code, _, err = run(str(raw_drive), "--method", "lidar", "--lidar.sweeps", "3")
+    lines = [line for line in err.splitlines() if "calib_imu_to_velo.txt" in line]
+    assert code == 1 and lines and all(line.count("frame 00") == 1 for line in lines), err
+
+
 def test_auto_takes_it_and_says_so(run: Run) -> None:
     write_folder(Path("mine"), ("a",), right=False)
     (Path("mine") / "depth").rename("mine/sparse")

@@ -84,7 +84,7 @@ def _build(args: BuildArguments, typed: list[str]) -> int:
     with progress(job.method.name, len(plan.todo)) as step:
         report = job.run(plan, args.workers, step, _note)
     for frame_id, error in sorted(report.failed.items()):
-        err.complain(error, f"frame {frame_id}")
+        err.complain(error.removeprefix(f"frame {frame_id}: "), f"frame {frame_id}")
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0

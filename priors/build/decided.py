@@ -7,6 +7,7 @@ The manifest's config is then the answer. It decides nothing else: keys and maps
 """
 
 from dataclasses import replace
+from glob import escape
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -34,7 +35,7 @@ def decide(method: Kind, frame: Frame, home: Path, fingerprint: str) -> tuple[Ki
     """
     if not method.measures or not frame.readers.keys() <= frame.files.keys():  # a file that is not known may change
         return method.resolve(frame), None
-    for folder in sorted(home.glob(f"{method.name}-*")):
+    for folder in sorted(home.glob(f"{escape(method.name)}-*")):
         recalled = _recall(method, frame, folder, fingerprint)
         if recalled is not None:
             return recalled
