@@ -45,9 +45,8 @@ def test_without_a_method_it_says_what_the_drive_has(run: Run) -> None:
 
 def test_a_mistyped_method_is_answered_with_those_there_are(run: Run) -> None:
     write_folder(Path("mine"), ("a",))
-    done = run("mine", "--method", "sterio")
-    refused(done, "choose one of auto, ", "did you mean stereo?")
-    assert "None" not in done[2]
+    told = "--method sterio: choose one of auto, completion, lidar, mono, stereo: did you mean stereo?"
+    refused(run("mine", "--method", "sterio"), told)
 
 
 def test_a_frame_that_failed_is_named_once(run: Run, raw_drive: Path) -> None:
