@@ -12,7 +12,7 @@ from priors.build.plan import Judge, Plan, make_plan
 from priors.build.work import CLAIMS, Work, tidy
 from priors.cache import Prior
 from priors.cache.learned import ENTRY as ENTRY_LEARNED
-from priors.cache.learned import Learned, WatchedDrive, keep
+from priors.cache.learned import Freshness, WatchedDrive, keep
 from priors.cache.places import follow
 from priors.cache.sources import Digests
 from priors.errors import DataError, expect
@@ -53,9 +53,8 @@ class Job:
     @cached_property
     def judge(self) -> Judge:
         """Tells of a frame whether it must be computed."""
-        digests = Digests()
-        learned = Learned(self.prior.folder, self.drive, digests)
-        return Judge(self.prior, (*self.method.reads, *self.filters.reads), self.distrust, digests, learned)
+        freshness = Freshness(self.prior.folder, self.drive, Digests())
+        return Judge(self.prior, (*self.method.reads, *self.filters.reads), self.distrust, freshness)
 
     def plan(self, selection: Selection = ALL) -> Plan:
         """Choose the frames to compute; frames that are cached, still or lack an input are skipped with the reason.
@@ -105,7 +104,7 @@ class Job:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
         watched = WatchedDrive(self.drive)
         make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
-        learned = keep(self.prior.folder, watched.sources(self.judge.digests))
+        learned = keep(self.prior.folder, watched.sources(self.judge.freshness.digests))
         cache.create(self.prior.folder, self.prior.manifest)
         follow(self.prior)
         self.prior.drop_stale()

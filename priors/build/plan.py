@@ -3,8 +3,8 @@
 from dataclasses import dataclass, field
 
 from priors.cache import Prior
-from priors.cache.learned import Learned
-from priors.cache.sources import Digests, Sources, restamped, why_stale
+from priors.cache.learned import Freshness
+from priors.cache.sources import Sources, restamped
 from priors.errors import DataError
 from priors.selection import MotionGate, Selection, select, shard
 from priors.types import Drive, Frame, Input
@@ -68,9 +68,7 @@ class Judge:
     """What a frame must have to be computed."""
     distrust: bool
     """Whether maps count only after they were read: the folder's manifest was damaged or missing."""
-    digests: Digests
-    learned: Learned
-    """Tells whether what the method learned from the whole drive is stale."""
+    freshness: Freshness
 
     def __call__(self, frame: Frame) -> Verdict:
         """Judge a frame by what the journal and the file system say now."""
@@ -79,7 +77,7 @@ class Judge:
         if damaged is None:
             record = self.prior.journal.entry(frame.id).record or {}
             sources = record.get("made_of")
-            stale = why_stale(sources, frame, self.digests) or self.learned.why_stale(sources)
+            stale = self.freshness.why_stale(sources, frame)
             if stale is None:
                 return Verdict(skip=CACHED, restamped=restamped(sources, frame))
         lacking = [what for what in self.reads if not frame.has(what)]

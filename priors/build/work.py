@@ -87,7 +87,7 @@ class Work:
         start = time.perf_counter()
         depth = self.make_depth(watched.frame)
         seconds = time.perf_counter() - start
-        sources = watched.sources(self.judge.digests) | self.learned
+        sources = watched.sources(self.judge.freshness.digests) | self.learned
         self.built.append(self.prior.write(frame.id, depth, seconds, sources))
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eval.files import STALE_S
-from priors.cache.learned import Learned
+from priors.cache.learned import Freshness
 from priors.cache.prior import CONFIDENCES, Prior
-from priors.cache.sources import Digests, why_stale
+from priors.cache.sources import Digests
 from priors.errors import DataError
 from priors.types import Drive
 
@@ -55,14 +55,12 @@ def audit(prior: Prior, drive: Drive | None, on_frame: Callable[[str], None] = l
 
 
 def _stale(prior: Prior, drive: Drive) -> Iterator[tuple[str, str]]:
-    digests, lines = Digests(), prior.lines()
-    learned = Learned(prior.folder, drive, digests)
+    freshness, lines = Freshness(prior.folder, drive, Digests()), prior.lines()
     for index, frame_id in enumerate(drive.ids):
         if frame_id not in lines or not prior.depth_path(frame_id).exists():
             continue
         try:
-            sources = lines[frame_id].get("made_of")
-            if reason := why_stale(sources, drive[index], digests) or learned.why_stale(sources):
+            if reason := freshness.why_stale(lines[frame_id].get("made_of"), drive[index]):
                 yield frame_id, reason
         except DataError as error:
             yield frame_id, str(error)

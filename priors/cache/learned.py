@@ -11,13 +11,13 @@ held.
 
 import hashlib
 import json
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from eval.files import write_bytes
 from priors.cache.sources import Call, Digests, Sources, record_calls, watch, why_stale
+from priors.drive_around import DriveAround
 from priors.errors import DataError
 from priors.types import Drive, Frame
 
@@ -26,34 +26,13 @@ DriveSources = dict[str, Sources]
 """Frame id -> the files that were read of it."""
 
 
-class WatchedDrive:
+class WatchedDrive(DriveAround):
     """A drive that notes what is read of its frames."""
 
     def __init__(self, drive: Drive) -> None:
-        self.drive = drive
+        super().__init__(drive)
         self._calls: dict[str, dict[str, Call]] = {}
         self._before: DriveSources = {}
-
-    @property
-    def name(self) -> str:
-        """The drive's."""
-        return self.drive.name
-
-    @property
-    def ids(self) -> Sequence[str]:
-        """The drive's."""
-        return self.drive.ids
-
-    def describe(self) -> dict[str, Any]:
-        """Return what reopens the drive."""
-        return self.drive.describe()
-
-    def fingerprint(self) -> str:
-        """Return the drive's."""
-        return self.drive.fingerprint()
-
-    def __len__(self) -> int:
-        return len(self.drive)
 
     def __getitem__(self, index: int) -> Frame:
         frame = self.drive[index]
@@ -94,19 +73,23 @@ def why_learned_stale(sources: Any, drive: Drive, digests: Digests) -> str | Non
     return None
 
 
-class Learned:
-    """Tells of the lists of a prior whether the drive still holds the same; each is compared once."""
+class Freshness:
+    """Tells of a prior's maps whether the drive still holds what they were made of; each list is compared once."""
 
     def __init__(self, folder: Path, drive: Drive, digests: Digests) -> None:
         self.folder, self.drive, self.digests = folder / FOLDER, drive, digests
         self._reasons: dict[str, str | None] = {}
 
-    def why_stale(self, sources: Any) -> str | None:
-        """Say which file is not what a map's method learned from.
+    def why_stale(self, sources: Any, frame: Frame) -> str | None:
+        """Say which file is not what a map was made of, or its method learned from; None where all are, or unknown.
 
         Args:
             sources: of the map's record, whatever it holds.
+            frame: the frame of today.
         """
+        return why_stale(sources, frame, self.digests) or self._why_learned_stale(sources)
+
+    def _why_learned_stale(self, sources: Any) -> str | None:
         named = sources.get(ENTRY) if isinstance(sources, dict) else None
         name = named.get("file") if isinstance(named, dict) else None
         if not isinstance(name, str) or Path(name).name != name:
