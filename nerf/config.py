@@ -11,7 +11,7 @@ from nerf.sample import SamplerConfig
 from priors.errors import LARGEST_SEED, expect, expect_between, expect_choices
 
 MOST_RAYS, MOST_STEPS = 1 << 20, 10**9
-Align: TypeAlias = Literal["auto", "none"]
+Align: TypeAlias = Literal["auto", "learn", "none"]
 """What is done to a prior before a fit."""
 
 
@@ -52,7 +52,7 @@ class FitConfig:
     """Decides weights, rays and sample positions."""
     align: Align = "auto"
     """auto: check the prior against the posed images, bring it to their scale, and leave out what they contradict;
-    none: take it as it is."""
+    learn: the same, and a scale and a shift a frame are learned with the field; none: take it as it is."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {"align": "none"}
 

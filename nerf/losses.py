@@ -88,6 +88,8 @@ class Losses:
     """How many samples the batch had."""
     each: Tensor
     """(r,) what colour and depth add to the loss of each ray, weighted."""
+    rendered: Rendered
+    """What they are the losses of."""
 
 
 def losses(
@@ -123,7 +125,7 @@ def losses(
     scales = {"rgb": 1.0, "depth": config.depth_weight, "opacity": config.opacity, "distortion": config.distortion}
     scales["sky"] = config.sky_opacity
     total = torch.stack([scales[name] * value for name, value in terms.items()]).sum()
-    return Losses(terms, total, gradients, samples.used, each)
+    return Losses(terms, total, gradients, samples.used, each, rendered)
 
 
 def prior_weight(config: LossConfig, rays: Rays) -> Tensor | None:

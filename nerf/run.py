@@ -21,6 +21,7 @@ from eval.lpips import Lpips
 from nerf import cameras, checkpoint, fields, journal, origin
 from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
+from nerf.evidence.lidar import sweeps_of
 from nerf.fit import OnStep, fit
 from nerf.model import Model, ShowsScene
 from nerf.naming import labels
@@ -35,7 +36,7 @@ from nerf.viewpoints import Viewpoints, along
 from priors import cache
 from priors.cache import Prior
 from priors.drives import poses_remark, reopen
-from priors.errors import DataError
+from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
 from priors.machine.device import pick_device
@@ -129,7 +130,8 @@ class Run:
             scene = open_scene(self.drive, prior, self.config.scene, home, self.progress, before)
         if self.config.fit.align == "none":
             return Checked(scene, None)
-        return check(scene, needed=not fields.is_trained(self.config.fit.model.family))
+        needed = not fields.is_trained(self.config.fit.model.family)
+        return check(scene, needed, sweeps_of(self.drive, scene.ids))
 
     def fit(self, device: str = "auto", on_step: OnStep = lambda status: None) -> Model:
         """Train until the budget is spent, or go on where the run was left; see nerf.fit.fit.
@@ -254,6 +256,10 @@ def begin(
         DataError: the folder holds a run with other settings.
     """
     config = RunConfig.of(drive, prior, scene or SceneConfig(), fit or FitConfig())
+    if config.fit.align == "learn":
+        expect(prior is not None, "--align", "learn", "auto where there is no prior to align")
+        family = config.fit.model.family
+        expect(fields.aligns(family), "--align", "learn", f"auto or none: --field {family} learns nothing of a prior")
     split(len(select(drive.ids, config.frames)), config.views)  # what cannot be is told before a folder is made
     if folder is None:
         folder = Path("runs") / f"{drive.name}-{config.title}"

@@ -6,18 +6,19 @@ proposals say; field, renderer and losses are the same for all.
 
 import math
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from nerf import roulette
+from nerf.alignment import Alignment
 from nerf.config import FitConfig, ModelConfig
 from nerf.converged import Converged
 from nerf.field import Field, FieldConfig
 from nerf.kernels import kernels_for
-from nerf.losses import LossConfig, Losses, losses
+from nerf.losses import LossConfig, Losses, losses, prior_weight
 from nerf.mlp import MLPConfig
 from nerf.model import StepResult
 from nerf.occupancy import Occupancy
@@ -40,6 +41,13 @@ RENDER_RAYS = 8192
 """Rays that are rendered at once: more need more memory and are no faster."""
 
 
+class Trainable(Protocol):
+    """A part of a model."""
+
+    def parameters(self) -> dict[str, Tensor]:
+        """Return the trainable tensors by name."""
+
+
 @dataclass(frozen=True)
 class VolumetricFamily:
     """What makes a family; everything else is shared."""
@@ -53,6 +61,9 @@ class VolumetricFamily:
     distortion: float = 1.0
     """How much more the distortion loss weighs than usual."""
 
+    aligns: ClassVar[bool] = True
+    """A prior's scales and shifts can be learned with the field."""
+
     def start(self, scene: Scene, config: FitConfig, device: str) -> "VolumetricModel":
         """Make an untrained model around a scene, carved where the scene has a prior."""
         space = Space.around(scene.T_world_cam[scene.train, :3, 3], scene.points_m(), self.space)
@@ -63,14 +74,17 @@ class VolumetricFamily:
         else:
             occupancy = Occupancy(space, device=device)
         converged = Converged.of(scene) if sampler.roulette_rays < 1 else None
-        return VolumetricModel(config.model, self, occupancy, config.seed, converged)
+        learns = config.align == "learn" and scene.depth_m is not None
+        alignment = Alignment(len(scene.ids), scene.train, device) if learns else None
+        return VolumetricModel(config.model, self, occupancy, config.seed, converged, alignment)
 
     def open(
         self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str
     ) -> "VolumetricModel":
         """Make a model again of what a checkpoint holds."""
         space = restore(Space, record["space"])
-        model = VolumetricModel(config, self, Occupancy(space, state["occupancy.kept"].shape[-1], device))
+        occupancy = Occupancy(space, state["occupancy.kept"].shape[-1], device)
+        model = VolumetricModel(config, self, occupancy, alignment=Alignment.like(under("model.alignment", state)))
         model.load(state)
         return model
 
@@ -85,12 +99,14 @@ class VolumetricModel:
         occupancy: Occupancy,
         seed: int = 0,
         converged: Converged | None = None,
+        alignment: Alignment | None = None,
     ) -> None:
         """Make a model that is a thin, even fog, on the occupancy grid's device.
 
-        `converged`: what is known of the training images' losses; None: all rays are trained on.
+        `converged`: what is known of the training images' losses; None: all rays are trained on. `alignment`: what is
+        learned of the prior; None: it stays as it is.
         """
-        self.converged = converged
+        self.converged, self.alignment = converged, alignment
         self.config, self.family, self.occupancy = config, family, occupancy
         self.space, self.device = occupancy.space, occupancy.kept.device
         grid = GridConfig(log2_size=config.log2_size, finest=config.finest, tables=self.space.tables)
@@ -109,7 +125,12 @@ class VolumetricModel:
             pixels, share = self.converged.spin(pixels, self.config.sampler.roulette_rays, key)
         rays = replace(scene.rays(*pixels), share=share).to(self.device)
         rules = replace(config.losses, distortion=config.losses.distortion * self.family.distortion)
+        own, frame = rays, torch.from_numpy(pixels.frame).to(self.device)
+        if self.alignment is not None:
+            rays = self.alignment.applied(frame, own)
         batch = self.backward(rays, rules, key, progress)
+        if self.alignment is not None:
+            self.alignment.learn(frame, own, prior_weight(rules, own), batch.rendered)
         if self.converged is not None:
             self.converged.learn(pixels, batch.each.cpu())
         self._optimiser.step(config.optimiser, progress)
@@ -174,7 +195,9 @@ class VolumetricModel:
 
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name."""
-        parts: dict[str, Field | Sky] = {"field": self.field, "sky": self.sky, **self.proposals.named()}
+        parts: dict[str, Trainable] = {"field": self.field, "sky": self.sky, **self.proposals.named()}
+        if self.alignment is not None:
+            parts["alignment"] = self.alignment
         return joined({name: part.parameters() for name, part in parts.items()})
 
     def state(self) -> dict[str, Tensor]:

@@ -60,7 +60,7 @@ class FitArguments(ThreadArguments, DriveArguments):
     """Decides weights, rays and sample positions."""
     align: Align = "auto"
     """auto: check the prior against the posed images, bring it to their scale, and leave out what they contradict;
-    none: take it as it is."""
+    learn: the same, and a scale and a shift a frame are learned with the field; none: take it as it is."""
     width: int = 64
     """Neurons of the hidden layers."""
     device: Device = "auto"
@@ -115,7 +115,8 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     scene, before = this_run.scene, checkpoint.spent(this_run.folder)
     _tell(scene, this_run.config, before)
     finding = this_run.checked.finding
-    for line in [] if finding is None else finding.told(Path(str(this_run.config.prior)).name):
+    prior = this_run.config.prior
+    for line in [] if finding is None else finding.told(None if prior is None else Path(prior).name):
         err.print(line)
     with fit_progress("training") as on_step:
         this_run.fit(args.device, on_step)

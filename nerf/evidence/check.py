@@ -1,46 +1,46 @@
 """Check: a scene's prior against its posed training images, before a fit; held-out frames take no part.
 
-1. Scale: each frame's patches say by which factor its depths suit the images (nerf/evidence/scale.py). A frame keeps to
-   the drive's median, unless its own patches say otherwise.
-2. Votes: values that the other frames' maps contradict are left out (nerf/evidence/votes.py).
-3. What is left is looked for in the images once more. Where too much of it is found at another depth, the prior would
+1. Blank images are left out of training (nerf/evidence/blank.py).
+2. Scale: each frame's patches say by which factor its depths suit the images (nerf/evidence/scale.py). Where the images
+   cannot tell, the LiDAR does (nerf/evidence/lidar.py).
+3. Votes: values that the other frames' maps contradict are left out (nerf/evidence/votes.py).
+4. What is left is looked for in the images once more. Where too much of it is found at another depth, the prior would
    hurt, and the fit is better off without it.
 """
 
-import hashlib
-import json
-from dataclasses import asdict, dataclass, replace
-from pathlib import Path
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
-from eval.files import write_bytes
+from nerf.evidence import kept as kept_files
+from nerf.evidence.blank import blank_frames
 from nerf.evidence.corrected import Corrected
 from nerf.evidence.finding import Finding
+from nerf.evidence.kept import Kept, Rounds, Trust
+from nerf.evidence.lidar import Sweeps, ratios
 from nerf.evidence.patches import Shot
-from nerf.evidence.scale import FACTORS, look, scale_of, wrong_share
-from nerf.evidence.votes import Council
+from nerf.evidence.scale import FACTORS, along, look, scale_of, wrong_share
+from nerf.evidence.votes import ROUNDS, Council
 from nerf.scene import Scene
-from nerf.stack import Stack, StackWriter
+from priors.sky import sky_mask
 
 Floats = npt.NDArray[np.float32]
 
-VERSION = 1
-"""Raised when the same scene is judged otherwise: what was kept of it is not read then."""
 NEAREST = 4
 """Frames that each frame is compared with."""
 LOOKED_AT = 24
-"""Frames whose patches are looked for, at most; evenly spread. The others take the drive's scale."""
+"""Frames whose patches are looked for, at most; evenly spread. The others' scale lies between theirs."""
 SURE = 0.2
-"""Confidence from which on a value is looked for and votes fully counted: below it, it guides nothing anyway."""
+"""Confidence from which on a value is looked for: below it, it guides nothing anyway."""
+SOLID = 0.5
+"""Confidence from which on a value is rather a surface than sky."""
 MOST_WRONG = 0.25
 """Share of found patches at another depth above which a prior hurts."""
 MOST_DROPPED = 0.5
 """Share of the values that other frames contradict above which nothing is known of those that are left."""
-WITHIN = 1.5
-"""A frame's own scale is believed where it is within this factor of the drive's."""
 TURN_M = 10.0
 """A camera turned by 1 radian is as unlike as one that is so many metres away."""
 
@@ -52,34 +52,43 @@ class Checked:
     scene: Scene
     """With the corrected prior, or without it."""
     finding: Finding | None
-    """None: nothing was checked, there is no prior."""
+    """None: there was nothing to tell, or nothing was checked."""
 
 
-def check(scene: Scene, needed: bool = False) -> Checked:
-    """Check a scene's prior. What was found before of the same maps and frames is read again.
+def check(scene: Scene, needed: bool = False, sweeps: Sweeps | None = None) -> Checked:
+    """Check a scene. What was found before of the same maps and frames is read again.
 
     Args:
         scene: its prior's maps are files, and the result is kept beside them; or arrays, and it is not.
         needed: the prior is used whatever is found: there is nothing to go on by without it.
+        sweeps: reads the frames' own LiDAR; None: there is none.
     """
+    scene, blank = _without_blank(scene)
     if scene.depth_m is None:
-        return Checked(scene, None)
-    kept = _read(scene)
+        return Checked(scene, Finding(blank=blank) if blank else None)
+    place = kept_files.place_of(scene, sweeps is not None)
+    kept = kept_files.read(place)
     if kept is None:
-        kept = _Check(scene).run()
-        kept = _keep(scene, *kept)
-    finding, trust, factors = kept
-    if not finding.used and not needed:
+        with Rounds.at(place, (len(scene.ids), *scene.camera.size)) as rounds:
+            kept = _Check(scene, sweeps, rounds).run()
+        kept_files.keep(place, kept)
+    finding = replace(kept.finding, blank=blank, used=kept.finding.used or needed)
+    if not finding.used:
         return Checked(replace(scene, depth_m=None, weight=None, sky=None), finding)
-    finding = replace(finding, used=True)
-    if trust is None:
+    if kept.trust is None:
         return Checked(scene, finding)
     assert not isinstance(scene.depth_m, Corrected)
-    return Checked(replace(scene, depth_m=Corrected(scene.depth_m, trust, factors)), finding)
+    corrected = Corrected(scene.depth_m, kept.trust, np.array(kept.factors, np.float32))
+    return Checked(replace(scene, depth_m=corrected), finding)
 
 
-Kept = tuple[Finding, Stack | npt.NDArray[np.uint8] | None, Floats]
-"""A finding, the values' trust (None: it could not be checked), and the frames' factors."""
+def _without_blank(scene: Scene) -> tuple[Scene, tuple[str, ...]]:
+    """Return a scene that trains on images that show something, and the ids of the others."""
+    blank = set(blank_frames(scene)) & set(scene.train)
+    if not blank or len(blank) == len(scene.train):
+        return scene, ()
+    train = [position for position in scene.train if position not in blank]
+    return replace(scene, train=train), tuple(scene.ids[position] for position in sorted(blank))
 
 
 @dataclass(frozen=True)
@@ -87,42 +96,56 @@ class _Check:
     """One check of one scene."""
 
     scene: Scene
+    sweeps: Sweeps | None
+    rounds: Rounds
 
     def run(self) -> Kept:
         """Look, align, vote, and look again."""
         frames = [position for position in self.scene.train if (self._depth_m(position) > 0).any()]
         near = {position: self._nearest(position, frames) for position in frames}
-        factors = np.ones(len(self.scene.ids), np.float32)
-        some = frames[:: -(-len(frames) // LOOKED_AT)] if len(frames) > 1 else []
+        some = frames[:: -(-len(frames) // LOOKED_AT)] if frames else []
         alike = {position: self._look(position, near[position], self._depth_m(position)) for position in some}
-        together = np.concatenate([*alike.values(), np.zeros((0, len(FACTORS)), np.float32)])
-        before, scale = wrong_share(together), scale_of(together)
-        if scale is None:
-            if before is None or before <= MOST_WRONG:
-                return Finding(), None, factors
-            return Finding(patches=len(together), wrong=before, used=False), None, factors
-        for position in frames:
-            factors[position] = self._own_scale(alike.get(position), scale)
+        together = _joined(alike.values())
+        scale, own = scale_of(together), {position: scale_of(each) for position, each in alike.items()}
+        lidar, by_lidar = self._lidar(some)
+        found = Finding(len(together) if scale is not None else 0, lidar=lidar, sky=self._sky(some))
+        if scale is None and lidar is None:
+            return self._blind(found, wrong_share(together), len(together))
+        told = {position: factor for position, factor in (own if scale is not None else by_lidar).items() if factor}
+        factors = np.ones(len(self.scene.ids), np.float32)
+        factors[frames] = along(frames, told, scale or lidar or 1.0)
         trust = self._votes(frames, near, factors)
         aligned = Corrected(self.scene.depth_m, trust, factors)  # type: ignore[arg-type]
-        after = wrong_share(
-            np.concatenate([self._look(position, near[position], aligned[position]) for position in some])
-        )
-        wrong = float(before is not None) if after is None else after  # nothing is found any more, or never was
-        return self._finding(aligned, factors[frames], (frames, len(together)), wrong), trust, factors
+        after = wrong_share(_joined(self._look(position, near[position], aligned[position]) for position in some))
+        found = replace(found, scale=float(np.median(factors[frames])), dropped=self._dropped(aligned, frames))
+        found = replace(found, spread=(float(factors[frames].min()), float(factors[frames].max())))
+        return Kept(_judged(found, after, wrong_share(together)), trust, factors.tolist())
 
-    def _finding(self, aligned: Corrected, factors: Floats, seen: tuple[list[int], int], wrong: float) -> Finding:
-        """Put together what was found of some frames, with their factors (f,), in so many patches."""
-        frames, patches = seen
-        spread = float(factors.min()), float(factors.max())
-        dropped = self._dropped(aligned, frames)
-        used = wrong <= MOST_WRONG and dropped <= MOST_DROPPED
-        return Finding(patches, float(np.median(factors)), spread, dropped, wrong, used)
+    def _blind(self, found: Finding, wrong: float | None, patches: int) -> Kept:
+        """Judge a prior that suits the images at no scale: it is of something else, or they cannot tell."""
+        if wrong is None or wrong <= MOST_WRONG:
+            return Kept(found)
+        return Kept(replace(found, patches=patches, wrong=wrong, used=False))
 
-    def _own_scale(self, alike: Floats | None, drive: float) -> float:
-        """Return a frame's scale: the drive's, unless its own patches (n, FACTORS) say another near it."""
-        own = None if alike is None else scale_of(alike)
-        return own if own is not None and drive / WITHIN <= own <= drive * WITHIN else drive
+    def _lidar(self, some: list[int]) -> tuple[float | None, dict[int, float | None]]:
+        """Return the factor that the LiDAR tells of all frames and of each; None: it tells none."""
+        if self.sweeps is None:
+            return None, {}
+        own: dict[int, float | None] = {}
+        for position in some:
+            found = ratios(self._sure_m(position, self._depth_m(position)), self.sweeps(position))
+            own[position] = float(np.median(found)) if len(found) else None
+        known = [factor for factor in own.values() if factor is not None]
+        return (float(np.median(known)) if known else None), own
+
+    def _sky(self, some: list[int]) -> float:
+        """Return the share of the images' sky in which the prior is sure of a surface."""
+        sky = solid = 0
+        for position in some:
+            mask = sky_mask(self.scene.images[position])
+            sure = (self._depth_m(position) > 0) & (self._weight(position) >= SOLID)
+            sky, solid = sky + int(mask.sum()), solid + int((mask & sure).sum())
+        return solid / sky if sky else 0.0
 
     def _depth_m(self, position: int) -> Floats:
         """Read a map; what is no depth is no value."""
@@ -136,6 +159,10 @@ class _Check:
             return np.ones(self.scene.camera.size, np.float32)
         return (self.scene.weight[position] / np.float32(255)).astype(np.float32)
 
+    def _sure_m(self, position: int, depth_m: Floats) -> Floats:
+        """Return a map without the values that are not sure."""
+        return np.where(self._weight(position) >= SURE, depth_m, np.float32(0))
+
     def _nearest(self, position: int, frames: list[int]) -> list[int]:
         """Return the frames nearest to one, by place and by where the camera looks."""
         poses, own = self.scene.T_world_cam[frames], self.scene.T_world_cam[position]
@@ -146,8 +173,8 @@ class _Check:
 
     def _look(self, position: int, near: list[int], depth_m: Floats) -> Floats:
         """Look for a frame's patches in the two frames nearest to it, where the prior is sure."""
-        sure = np.where(self._weight(position) >= SURE, depth_m, np.float32(0))
-        return look([self._shot(number) for number in (position, *near[:2])], sure, seed=position)
+        shots = [self._shot(number) for number in (position, *near[:2])]
+        return look(shots, self._sure_m(position, depth_m), seed=position)
 
     def _shot(self, position: int) -> Shot:
         """Read a frame's image in grey."""
@@ -155,16 +182,24 @@ class _Check:
         grey = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY).astype(np.float32)
         return Shot(grey, self.scene.camera, self.scene.T_world_cam[position])
 
-    def _votes(self, frames: list[int], near: dict[int, list[int]], factors: Floats) -> npt.NDArray[np.uint8]:
+    def _votes(self, frames: list[int], near: dict[int, list[int]], factors: Floats) -> Trust:
         """Return the trust of all frames' values, x 255; held-out frames are trusted, and never asked."""
         poses = {position: self.scene.T_world_cam[position] for position in frames}
 
         def aligned(position: int) -> Floats:
             return np.asarray(self._depth_m(position) * factors[position])
 
-        trust = np.full((len(self.scene.ids), *self.scene.camera.size), 255, np.uint8)
-        for position, found in Council(self.scene.camera, poses, near, aligned, self._weight).trust().items():
-            trust[position] = found
+        council = Council(self.scene.camera, poses, near, aligned, self._weight)
+        everything, trust = np.full(self.scene.camera.size, 255, np.uint8), None
+
+        def counted(before: Trust | None) -> Iterator[npt.NDArray[np.uint8]]:
+            for position in range(len(self.scene.ids)):
+                asked = (lambda other: None) if before is None else before.__getitem__
+                yield council.count(position, asked) if position in poses else everything
+
+        for number in range(ROUNDS):
+            trust = self.rounds.write(counted(trust), last=number == ROUNDS - 1)
+        assert trust is not None
         return trust
 
     def _dropped(self, aligned: Corrected, frames: list[int]) -> float:
@@ -177,35 +212,12 @@ class _Check:
         return 1 - after / before if before else 0.0
 
 
-def _place(scene: Scene) -> Path | None:
-    """Return where the check of a scene's files is kept, without an ending; None: it is not."""
-    if not isinstance(scene.depth_m, Stack):
-        return None
-    digest = hashlib.sha256(repr((VERSION, scene.train)).encode() + scene.T_world_cam.tobytes()).hexdigest()[:10]
-    return scene.depth_m.path.parent / f"checked-{digest}"
+def _judged(found: Finding, after: float | None, before: float | None) -> Finding:
+    """Judge what is left by the share of it that other images show elsewhere, after the check and before it."""
+    wrong = float(before is not None) if after is None else after  # nothing is found any more, or never was
+    return replace(found, wrong=wrong, used=wrong <= MOST_WRONG and found.dropped <= MOST_DROPPED)
 
 
-def _read(scene: Scene) -> Kept | None:
-    """Read what was found before; None where nothing was kept."""
-    place = _place(scene)
-    if place is None or not place.with_suffix(".json").exists():
-        return None
-    record = json.loads(place.with_suffix(".json").read_text(encoding="utf-8"))
-    factors = np.array(record.pop("factors"), np.float32)
-    finding = Finding(**(record | {"spread": tuple(record["spread"])}))
-    trust = place.with_suffix(".npy")
-    return finding, Stack(trust) if trust.exists() else None, factors
-
-
-def _keep(scene: Scene, finding: Finding, trust: Stack | npt.NDArray[np.uint8] | None, factors: Floats) -> Kept:
-    """Keep what was found beside the prior's maps, where those are files."""
-    place = _place(scene)
-    if place is None:
-        return finding, trust, factors
-    if trust is not None:
-        with StackWriter(place.with_suffix(".npy"), trust.shape, np.uint8) as files:
-            for position in range(len(scene.ids)):
-                files.add(trust[position])
-        trust = Stack(place.with_suffix(".npy"))
-    write_bytes(place.with_suffix(".json"), json.dumps(asdict(finding) | {"factors": factors.tolist()}).encode())
-    return finding, trust, factors
+def _joined(alike: Iterable[Floats]) -> Floats:
+    """Join the likeness (n, FACTORS) of several frames' patches."""
+    return np.concatenate([*alike, np.zeros((0, len(FACTORS)), np.float32)])

@@ -21,6 +21,10 @@ FEWEST = 100
 """Fewer say nothing."""
 DECISIVE = 0.02
 """How much more alike patches must be, on average, at another scale before it is believed."""
+SETTLED = 1.03
+"""A factor up to this is no error: a right prior's frames come to 1.02 at most."""
+WITHIN = 1.5
+"""A frame's own scale is believed where it is within this factor of the drive's."""
 FOUND, BETTER = 0.75, 0.25
 """A patch is found where its best likeness is at least the first, and at another depth where it is better by the second
 than at its own."""
@@ -46,25 +50,36 @@ def look(shots: list[Shot], depth_m: Floats, seed: int) -> Floats:
 
 
 def scale_of(alike: Floats) -> float | None:
-    """Return the factor that suits patches (n, FACTORS), 1.0 where none is decisively better; None: they cannot tell.
+    """Return the factor that suits patches (n, FACTORS) best, 1.0 where none is decisively better; None: none is.
 
-    The peak is refined by a parabola through it and its neighbours. Less than half a step of FACTORS is no error.
+    The peak is refined by a parabola through it and its neighbours.
     """
     if len(alike) < FEWEST:
         return None
     mean = alike.mean(axis=0)
     peak = int(mean.argmax())
-    if mean[peak] - np.median(mean) < DECISIVE:
+    if mean[peak] - np.median(mean) < DECISIVE or not 0 < peak < len(mean) - 1:
         return None
-    if abs(peak - SAME) <= 1 or mean[peak] - mean[SAME] < DECISIVE:
+    if abs(peak - SAME) > 1 and mean[peak] - mean[SAME] < DECISIVE:
         return 1.0
-    if not 0 < peak < len(mean) - 1:
-        return None
     before, top, after = mean[peak - 1 : peak + 2]
     bend = before - 2 * top + after
     shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
     step = np.log(FACTORS[1] / FACTORS[0])
     return float(FACTORS[peak] * np.exp(shift * step))
+
+
+def along(positions: list[int], own: dict[int, float], drive: float) -> Floats:
+    """Return the factors (p,) of frames along a drive, from those that some of them have of their own.
+
+    A frame's own is believed where it is within WITHIN of the drive's; what lies between two such frames is between
+    their factors. All are 1 where none differs from it by more than SETTLED.
+    """
+    near = {position: factor for position, factor in own.items() if drive / WITHIN <= factor <= drive * WITHIN}
+    near = near or {positions[0]: drive}
+    logs = np.interp(positions, list(near), np.log(list(near.values())))
+    settled = np.abs(logs).max() <= np.log(SETTLED)
+    return np.where(settled, 1, np.exp(logs)).astype(np.float32)
 
 
 def wrong_share(alike: Floats) -> float | None:

@@ -12,6 +12,7 @@ their voters are trusted. The settings were chosen on KITTI drive 0009 and on a 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from priors.machine import threads
 from priors.types import Camera, Matrix
 
 Floats = npt.NDArray[np.float32]
+Trust: TypeAlias = npt.NDArray[np.uint8]
 
 ROUNDS = 3
 """How often votes are counted."""
@@ -48,28 +50,31 @@ class Council:
     weight: Callable[[int], Floats]
     """Reads how much its values count before anybody has voted, (h, w) in [0, 1]."""
 
-    def trust(self) -> dict[int, npt.NDArray[np.uint8]]:
-        """Return how far each frame's values are trusted, (h, w) x 255; half of it: as many votes for as against."""
-        trusted = {number: np.full(self.camera.size, 255, np.uint8) for number in self.poses}
-        for _ in range(ROUNDS):
-            trusted = {number: self._count(number, trusted) for number in self.poses}
-        return trusted
+    def count(self, number: int, trusted: Callable[[int], Trust | None]) -> Trust:
+        """Count the votes on one frame's values.
 
-    def _count(self, number: int, trusted: dict[int, npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:
-        """Count the votes on one frame."""
+        Args:
+            number: the frame.
+            trusted: how far another frame's values were trusted in the round before; None: fully.
+
+        Returns:
+            (h, w) trust x 255; half of it: as many votes for as against.
+        """
         inverse = inverse_of(self.depth_m(number))
         ballot, shared = np.zeros((2, *inverse.shape), np.float32), np.zeros((2, *inverse.shape), np.float32)
         for other in self.near[number]:
-            vote(inverse, self._voter(other, number, trusted[other]), RULES, ballot)
+            vote(inverse, self._voter(other, number, trusted(other)), RULES, ballot)
         threads.over(len(inverse), lambda first, last: pool(inverse, ballot, RULES, first, last, shared))
         return np.rint(255 * (shared[0] + OWN) / (shared[0] + shared[1] + OWN)).astype(np.uint8)
 
-    def _voter(self, other: int, number: int, trusted: npt.NDArray[np.uint8]) -> Voter:
+    def _voter(self, other: int, number: int, trusted: Trust | None) -> Voter:
         """Return one frame as a voter on another."""
         there = between(self.camera, self.poses[number], self.camera, self.poses[other])
         here = between(self.camera, self.poses[other], self.camera, self.poses[number])
-        voice = self.weight(other) * (trusted / np.float32(255)) ** SHARPNESS
-        return Voter(inverse_of(self.depth_m(other)), voice.astype(np.float32), here, there)
+        voice = self.weight(other)
+        if trusted is not None:
+            voice = np.asarray(voice * (trusted / np.float32(255)) ** SHARPNESS, np.float32)
+        return Voter(inverse_of(self.depth_m(other)), voice, here, there)
 
 
 def inverse_of(depth_m: Floats) -> Floats:

@@ -37,3 +37,8 @@ def family(name: str) -> Family:
 def is_trained(name: str) -> bool:
     """Tell whether a family's models learn; the others are as good as their frames and prior at once."""
     return bool(getattr(family(name), "trained", True))
+
+
+def aligns(name: str) -> bool:
+    """Tell whether a family's models can learn a prior's scales and shifts with the field."""
+    return bool(getattr(family(name), "aligns", False))
