@@ -26,7 +26,7 @@ from tests.test_nerf_fit import CAMERA, SIZE, corridor
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return spotted(corridor())
+    return spotted(corridor(count=12))
 
 
 def spotted(plain: Scene) -> Scene:
@@ -61,9 +61,9 @@ def test_a_right_prior_is_left_as_it_is(scene: Scene) -> None:
     assert checked.finding is not None
     assert (checked.finding.scale, checked.finding.spread, checked.finding.used) == (1.0, (1.0, 1.0), True)
     assert checked.finding.patches > 1000
-    assert checked.finding.dropped < 0.02
-    now, then = used(checked.scene), used(scene)
-    assert np.array_equal(now[now > 0], then[now > 0])
+    assert checked.finding.told("it")[:-1] == []  # but for the sky, which painted walls look like
+    assert checked.finding.dropped == 0
+    assert checked.scene is scene
 
 
 @pytest.mark.parametrize("factor", [0.5, *(pytest.param(x, marks=pytest.mark.slow) for x in (0.1, 0.7, 2.0, 8.0))])
@@ -87,13 +87,15 @@ def test_a_scale_that_drifts_is_followed() -> None:
     now, true = used(checked.scene), used(scene)
     kept = now > 0
     left = np.array([np.median(n[k] / t[k]) for n, t, k in zip(now, true, kept, strict=True)])
-    assert np.abs(left - 1).max() < 0.15  # factors are 10 % apart, and one step is no error
-    assert np.abs(left - 1).mean() < 0.5 * np.abs(drift[scene.train] - 1).mean()
+    assert np.abs(left - 1).max() < 0.06
+    assert np.abs(left - 1).mean() < 0.02
     assert "from frame to frame" in checked.finding.told("it")[0]
 
 
-@pytest.mark.parametrize("factor", [10.0, 0.1])
-@pytest.mark.parametrize("side", [1, 5], ids=["at random", "in blobs"])
+@pytest.mark.parametrize(
+    ("side", "factor"),
+    [(1, 10.0), (5, 0.1), *(pytest.param(*x, marks=pytest.mark.slow) for x in ((5, 10.0), (1, 0.1)))],
+)
 def test_gross_errors_are_left_out(scene: Scene, side: int, factor: float) -> None:
     """30 % of the values wrong by 10x."""
     random, depth_m = np.random.default_rng(5), maps(scene)
@@ -105,14 +107,15 @@ def test_gross_errors_are_left_out(scene: Scene, side: int, factor: float) -> No
     assert checked.finding.used
     now, there = used(checked.scene) > 0, used(scene) > 0
     bad = wrong[scene.train] & there
-    assert (now & bad).sum() < 0.25 * bad.sum()
+    assert (now & bad).sum() < (0.4 if side == 5 and factor < 1 else 0.15) * bad.sum()
     assert (now & ~bad).sum() > 0.85 * (there & ~bad).sum()
     assert "contradict" in checked.finding.told("it")[0]
 
 
-def test_a_prior_of_something_else_is_left_out(scene: Scene) -> None:
+@pytest.mark.parametrize("seed", [4, *(pytest.param(x, marks=pytest.mark.slow) for x in (3, 5))])
+def test_a_prior_of_something_else_is_left_out(scene: Scene, seed: int) -> None:
     """Maps of another place: each frame has a wall where it pleases."""
-    walls_m = np.random.default_rng(3).uniform(2, 60, (len(scene.ids), 1, 1)) * np.ones(SIZE)
+    walls_m = np.random.default_rng(seed).uniform(2, 60, (len(scene.ids), 1, 1)) * np.ones(SIZE)
     other = with_maps(scene, walls_m)
     checked = check(other)
     assert checked.finding is not None
@@ -128,9 +131,44 @@ def test_what_images_cannot_tell_is_used_as_it_is(scene: Scene) -> None:
     blank = replace(scene, images=np.full_like(scene.images, 128))
     for poor in (still, blank, replace(scene, train=scene.train[:1])):
         checked = check(poor)
-        assert checked.finding == Finding()
+        assert checked.finding is not None
+        assert replace(checked.finding, sky=0.0) == Finding()
         assert np.array_equal(used(checked.scene), used(poor))
         assert "could not be checked" in checked.finding.told("it")[0]
+
+
+@pytest.mark.parametrize("grey", [0, 255])
+def test_blank_images_do_not_train(scene: Scene, tmp_path: Path, grey: int) -> None:
+    """A black image, or a white one; with a prior or without."""
+    images = np.array(scene.images)
+    images[[4, 9]] = grey  # one trains, one is held out
+    for blank in (replace(scene, images=images), replace(scene, images=images, depth_m=None)):
+        checked = check(blank)
+        assert checked.finding is not None
+        assert checked.finding.blank == ("000004",)
+        assert checked.scene.train == [position for position in scene.train if position != 4]
+        assert "000004: blank" in checked.finding.told(None)[0]
+    dark = replace(scene, images=np.full_like(images, grey), depth_m=None)
+    assert check(dark).finding is None  # where all are, there is nothing else to learn
+
+
+@pytest.mark.parametrize("tells", [True, False])
+def test_the_lidar_is_a_second_witness(scene: Scene, tells: bool) -> None:
+    """Where images cannot tell the scale, it does; where they can, it is told that the two do not agree."""
+    seen = scene if tells else replace(scene, images=np.full_like(scene.images, 128))
+    truth = maps(scene)
+
+    def sweep(position: int) -> np.ndarray | None:
+        assert position in scene.train
+        return (
+            None if position == 4 else np.where(np.indices(SIZE).sum(0) % 3, 0, (1.5 if tells else 1) * truth[position])
+        )
+
+    finding = check(with_maps(seen, (1 if tells else 0.5) * truth), sweeps=sweep).finding
+    assert finding is not None
+    assert finding.lidar == pytest.approx(1.5 if tells else 2)
+    assert finding.scale == pytest.approx(1 if tells else 2)
+    assert any(("LiDAR at 1.50" if tells else "its scale is the LiDAR's") in line for line in finding.told("it"))
 
 
 @pytest.mark.slow
@@ -143,11 +181,14 @@ def test_held_out_frames_take_no_part(scene: Scene) -> None:
 
 
 def test_it_is_checked_once(scene: Scene, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    wrong = np.random.default_rng(5).random(maps(scene).shape) < 0.3
     with StackWriter(tmp_path / "depth.npy", maps(scene).shape, np.float32) as file:
-        for each in 0.5 * maps(scene):
+        for each in np.where(wrong, 5, 0.5) * maps(scene):
             file.add(each)
     filed = replace(scene, depth_m=Stack(tmp_path / "depth.npy"))
     first = check(filed)
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".json", ".npy", ".npy"]
+    assert np.array_equal(used(first.scene), used(check(with_maps(scene, maps(filed))).scene))
     monkeypatch.setattr(checking, "_Check", None)
     again = check(filed)
     assert again.finding == first.finding

@@ -37,8 +37,11 @@ SURE = 0.2
 """Confidence from which on a value is looked for: below it, it guides nothing anyway."""
 SOLID = 0.5
 """Confidence from which on a value is rather a surface than sky."""
-MOST_WRONG = 0.25
+MOST_WRONG = 0.3
 """Share of found patches at another depth above which a prior hurts."""
+USUAL = 0.1
+"""Share of the values that frames contradict in a right prior, too: at edges, far away and on what moves. Up to this
+all are kept: a loss that is trimmed stands them, and those of them that are right are missed."""
 MOST_DROPPED = 0.5
 """Share of the values that other frames contradict above which nothing is known of those that are left."""
 TURN_M = 10.0
@@ -75,7 +78,7 @@ def check(scene: Scene, needed: bool = False, sweeps: Sweeps | None = None) -> C
     finding = replace(kept.finding, blank=blank, used=kept.finding.used or needed)
     if not finding.used:
         return Checked(replace(scene, depth_m=None, weight=None, sky=None), finding)
-    if kept.trust is None:
+    if kept.trust is None and finding.spread == (1.0, 1.0):
         return Checked(scene, finding)
     assert not isinstance(scene.depth_m, Corrected)
     corrected = Corrected(scene.depth_m, kept.trust, np.array(kept.factors, np.float32))
@@ -106,7 +109,8 @@ class _Check:
         some = frames[:: -(-len(frames) // LOOKED_AT)] if frames else []
         alike = {position: self._look(position, near[position], self._depth_m(position)) for position in some}
         together = _joined(alike.values())
-        scale, own = scale_of(together), {position: scale_of(each) for position, each in alike.items()}
+        scale = scale_of(together)
+        own = {position: scale_of(each, scale or 1.0) for position, each in alike.items()}
         lidar, by_lidar = self._lidar(some)
         found = Finding(len(together) if scale is not None else 0, lidar=lidar, sky=self._sky(some))
         if scale is None and lidar is None:
@@ -114,12 +118,16 @@ class _Check:
         told = {position: factor for position, factor in (own if scale is not None else by_lidar).items() if factor}
         factors = np.ones(len(self.scene.ids), np.float32)
         factors[frames] = along(frames, told, scale or lidar or 1.0)
+        found = replace(found, scale=float(np.median(factors[frames])))
+        found = replace(found, spread=(float(factors[frames].min()), float(factors[frames].max())))
         trust = self._votes(frames, near, factors)
         aligned = Corrected(self.scene.depth_m, trust, factors)  # type: ignore[arg-type]
+        dropped = self._dropped(aligned, frames)
+        if dropped <= USUAL:
+            trust, dropped, aligned = None, 0.0, Corrected(self.scene.depth_m, None, factors)  # type: ignore[arg-type]
         after = wrong_share(_joined(self._look(position, near[position], aligned[position]) for position in some))
-        found = replace(found, scale=float(np.median(factors[frames])), dropped=self._dropped(aligned, frames))
-        found = replace(found, spread=(float(factors[frames].min()), float(factors[frames].max())))
-        return Kept(_judged(found, after, wrong_share(together)), trust, factors.tolist())
+        judged = _judged(replace(found, dropped=dropped), after, wrong_share(together))
+        return Kept(judged, trust, factors.tolist())
 
     def _blind(self, found: Finding, wrong: float | None, patches: int) -> Kept:
         """Judge a prior that suits the images at no scale: it is of something else, or they cannot tell."""

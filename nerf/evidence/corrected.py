@@ -17,10 +17,10 @@ class Corrected:
     def __init__(
         self,
         depth_m: Stack | npt.NDArray[np.float32],
-        trust: Stack | npt.NDArray[np.uint8],
+        trust: Stack | npt.NDArray[np.uint8] | None,
         factors: npt.NDArray[np.float32],
     ) -> None:
-        """Take maps and their trust x 255, (frames, h, w) each, and the factors (frames,)."""
+        """Take maps and their trust x 255, (frames, h, w) each, and the factors (frames,); no trust: all is trusted."""
         self._depth_m, self._trust, self._factors = depth_m, trust, factors
         self.shape = depth_m.shape
 
@@ -30,6 +30,7 @@ class Corrected:
     def __getitem__(self, index: int | tuple[npt.NDArray[Any], ...]) -> npt.NDArray[np.float32]:
         """Return a frame, or pixels by arrays (n,) of frame, row and column; always a copy."""
         frame = index[0] if isinstance(index, tuple) else index
-        kept = self._trust[index] >= LEAST_TRUST
         depth_m = self._depth_m[index] * self._factors[frame]
-        return np.where(kept, depth_m, np.float32(0)).astype(np.float32)
+        if self._trust is not None:
+            depth_m = np.where(self._trust[index] >= LEAST_TRUST, depth_m, np.float32(0))
+        return np.asarray(depth_m, np.float32)

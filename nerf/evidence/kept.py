@@ -33,7 +33,7 @@ class Kept:
 
     finding: Finding
     trust: Trust | None = None
-    """None: nothing is corrected."""
+    """None: all are trusted."""
     factors: list[float] = field(default_factory=list)
     """What each frame's depths are multiplied by."""
 
@@ -55,13 +55,15 @@ def read(place: Path | None) -> Kept | None:
         return None
     record = json.loads(place.with_suffix(".json").read_text(encoding="utf-8"))
     factors = record.pop("factors")
-    trust = place.with_suffix(".npy")
-    return Kept(Finding.of(record), Stack(trust) if trust.exists() else None, factors)
+    finding, trust = Finding.of(record), place.with_suffix(".npy")
+    return Kept(finding, Stack(trust) if finding.dropped else None, factors)
 
 
 def keep(place: Path | None, kept: Kept) -> None:
-    """Keep a finding; its trust was written by `Rounds`."""
+    """Keep a finding; its trust was written by `Rounds`, and goes where it is not used."""
     if place is not None:
+        if kept.trust is None:
+            place.with_suffix(".npy").unlink(missing_ok=True)
         write_bytes(place.with_suffix(".json"), json.dumps(asdict(kept.finding) | {"factors": kept.factors}).encode())
 
 

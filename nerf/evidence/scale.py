@@ -19,10 +19,11 @@ PATCHES = 800
 """Of a frame."""
 FEWEST = 100
 """Fewer say nothing."""
-DECISIVE = 0.02
-"""How much more alike patches must be, on average, at another scale before it is believed."""
-SETTLED = 1.03
-"""A factor up to this is no error: a right prior's frames come to 1.02 at most."""
+PLAIN = 0.02
+"""How much more alike than at the median factor patches must be at the best one, on average, to tell anything."""
+DECISIVE, DECISIVE_NEAR = 0.05, 0.01
+"""How much more alike than at the usual scale they must be at another one before it is believed; and at one next to it.
+Maps of another place come to 0.048 by chance."""
 WITHIN = 1.5
 """A frame's own scale is believed where it is within this factor of the drive's."""
 FOUND, BETTER = 0.75, 0.25
@@ -49,37 +50,37 @@ def look(shots: list[Shot], depth_m: Floats, seed: int) -> Floats:
     return np.clip(np.max(seen, axis=0, initial=0.0), 0, 1)
 
 
-def scale_of(alike: Floats) -> float | None:
-    """Return the factor that suits patches (n, FACTORS) best, 1.0 where none is decisively better; None: none is.
+def scale_of(alike: Floats, usual: float = 1.0) -> float | None:
+    """Return the factor that suits patches (n, FACTORS) best; None: none is better than the others.
 
-    The peak is refined by a parabola through it and its neighbours.
+    The peak is refined by a parabola through it and its neighbours. It is `usual` where that suits about as well.
     """
     if len(alike) < FEWEST:
         return None
     mean = alike.mean(axis=0)
     peak = int(mean.argmax())
-    if mean[peak] - np.median(mean) < DECISIVE or not 0 < peak < len(mean) - 1:
+    if mean[peak] - np.median(mean) < PLAIN or not 0 < peak < len(mean) - 1:
         return None
-    if abs(peak - SAME) > 1 and mean[peak] - mean[SAME] < DECISIVE:
-        return 1.0
     before, top, after = mean[peak - 1 : peak + 2]
     bend = before - 2 * top + after
     shift = 0.5 * (before - after) / bend if bend < 0 else 0.0
-    step = np.log(FACTORS[1] / FACTORS[0])
-    return float(FACTORS[peak] * np.exp(shift * step))
+    logs = np.log(FACTORS)
+    at_usual = np.interp(np.log(usual), logs, mean)
+    needed = DECISIVE_NEAR if abs(logs[peak] - np.log(usual)) < 1.5 * (logs[1] - logs[0]) else DECISIVE
+    if top - 0.25 * (before - after) * shift - at_usual < needed:
+        return usual
+    return float(np.exp(logs[peak] + shift * (logs[1] - logs[0])))
 
 
 def along(positions: list[int], own: dict[int, float], drive: float) -> Floats:
     """Return the factors (p,) of frames along a drive, from those that some of them have of their own.
 
     A frame's own is believed where it is within WITHIN of the drive's; what lies between two such frames is between
-    their factors. All are 1 where none differs from it by more than SETTLED.
+    their factors.
     """
     near = {position: factor for position, factor in own.items() if drive / WITHIN <= factor <= drive * WITHIN}
     near = near or {positions[0]: drive}
-    logs = np.interp(positions, list(near), np.log(list(near.values())))
-    settled = np.abs(logs).max() <= np.log(SETTLED)
-    return np.where(settled, 1, np.exp(logs)).astype(np.float32)
+    return np.exp(np.interp(positions, list(near), np.log(list(near.values())))).astype(np.float32)
 
 
 def wrong_share(alike: Floats) -> float | None:

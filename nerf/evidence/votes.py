@@ -1,10 +1,11 @@
 """Votes: which values of a frame's map other frames' maps agree with, and which they contradict.
 
 A value of frame j lands in frame i. If i's own value there is about as far, each is a vote for the other. If i's is
-farther, i looks through the place: one of the two is wrong, and each is a vote against the other. If it is nearer, the
-place is hidden from i: often because it does not exist, so that counts a bit against j's value, and nothing against
-i's. (After Merrell et al., "Real-Time Visibility-Based Fusion of Depth Maps", ICCV 2007. Without the last rule a road
-that is ten times too far is agreed on: a plane ten times as deep below the cameras looks the same from all of them.)
+twice as far, i looks through the place: one of the two is wrong, and each is a vote against the other. If it is half
+as far, the place is hidden from i: often because it does not exist, so that counts against j's value, and a bit against
+i's. In between they say nothing: what is far is not known better. (After Merrell et al., "Real-Time Visibility-Based
+Fusion of Depth Maps", ICCV 2007. Were i's value asked as hard as j's, a road that is ten times too far would be agreed
+on: a plane ten times as deep below the cameras looks the same from all of them.)
 
 Values around each other that are about as far share their votes. Votes are counted a few times, each time by how far
 their voters are trusted. The settings were chosen on KITTI drive 0009 and on a street.
@@ -32,7 +33,7 @@ SHARPNESS = 3
 """Power of a voter's trust by which its vote counts: those that are half trusted hardly count."""
 OWN = np.float32(0.1)
 """What speaks for a value before anybody has voted."""
-RULES = Rules(agree=1.2, hidden=0.6, hides=0.3, layer=1.3, half_px=9)
+RULES = Rules(agree=1.2, against=2.0, hidden=1.5, hides=0.3, layer=1.15, half_px=9)
 
 
 @dataclass(frozen=True)

@@ -9,20 +9,23 @@ def vote(inverse, voter, rules):
     for row, column in np.argwhere(inverse > 0):
         at, expected = landed(voter.there, row, column, inverse[row, column])
         if inside(at, voter.inverse) and voter.inverse[at] > 0:
-            verdict, weight = compared(voter.inverse[at], expected, rules.agree, rules.hidden)
+            verdict, weight = compared(voter.inverse[at], expected, rules, rules.hidden)
             ballot[verdict, row, column] += weight * voter.trust[at]
     for row, column in np.argwhere(voter.inverse > 0):
         at, expected = landed(voter.here, row, column, voter.inverse[row, column])
         if inside(at, inverse) and inverse[at] > 0:
-            verdict, weight = compared(inverse[at], expected, rules.agree, rules.hides)
+            verdict, weight = compared(inverse[at], expected, rules, rules.hides)
             ballot[verdict][at] += weight * voter.trust[row, column]
     return ballot
 
 
-def compared(found, expected, ratio, nearer):
+def compared(found, expected, rules, nearer):
     """0 or 1, agreed or against, and the weight of it: `nearer` where what is found is nearer than expected."""
-    if max(found / expected, expected / found) <= ratio:
+    ratio = max(found / expected, expected / found)
+    if ratio <= rules.agree:
         return 0, 1.0
+    if ratio <= rules.against:
+        return 1, 0.0
     return 1, nearer if found > expected else 1.0
 
 

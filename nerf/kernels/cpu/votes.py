@@ -30,6 +30,8 @@ class Rules(NamedTuple):
 
     agree: float
     """Values agree where the farther is at most so many times as far as the nearer."""
+    against: float
+    """They contradict each other where it is more than so many times as far; in between they say nothing."""
     hidden: float
     """How much it counts against a value that another one hides it."""
     hides: float
@@ -60,7 +62,7 @@ def vote(inverse: Floats, voter: Voter, rules: Rules, ballot: Floats) -> None:
                     weight = voter.trust[y, x]
                     if _alike(found, expected, rules.agree):
                         ballot[0, row, column] += weight
-                    else:
+                    elif not _alike(found, expected, rules.against):
                         ballot[1, row, column] += weight * (rules.hidden if found > expected else 1.0)
             if voter.inverse[row, column] > 0:  # what the other frame's value says where this frame sees it
                 u, v, expected = land(voter.here, float(column), float(row), float(voter.inverse[row, column]))
@@ -68,7 +70,7 @@ def vote(inverse: Floats, voter: Voter, rules: Rules, ballot: Floats) -> None:
                 if found > 0:
                     if _alike(found, expected, rules.agree):
                         ballot[0, y, x] += voter.trust[row, column]
-                    else:
+                    elif not _alike(found, expected, rules.against):
                         ballot[1, y, x] += voter.trust[row, column] * (rules.hides if found > expected else 1.0)
 
 
