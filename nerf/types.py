@@ -16,7 +16,7 @@ from torch import Tensor
 from priors.errors import DataError
 from priors.types import Camera, Depth, FloatMap, Matrix
 
-BOX, BALL, SPHERES = 0, 1, 2
+BOX, BALL, SPHERES, CUBE = 0, 1, 2, 3
 """The kinds of a space as the kernels know them: nerf.space."""
 FEATURES = 2
 """Features of a grid's row: two bfloat16 are one 32-bit word in the kernels."""
@@ -167,7 +167,7 @@ class Extent(NamedTuple):
     """How large a space is: what nerf.twin.space, `stretch`, needs."""
 
     kind: int
-    """BOX, BALL or SPHERES."""
+    """BOX, BALL, SPHERES or CUBE."""
     mean_m: float
     """Geometric mean of the half extents, metres."""
     farthest: float
@@ -220,7 +220,7 @@ class Course:
     slots: int
     """Columns that hold any ray's candidates."""
     kind: int
-    """The space's kind: BOX, BALL or SPHERES."""
+    """The space's kind: BOX, BALL, SPHERES or CUBE."""
 
 
 @dataclass(frozen=True, slots=True)

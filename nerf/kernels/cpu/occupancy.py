@@ -3,27 +3,30 @@
 import numpy as np
 
 from nerf.kernels.cpu.march import ONE, TWO, ZERO, cell
-from nerf.types import BALL, BOX
+from nerf.types import BOX, CUBE, SPHERES
 from priors.machine.compiled import compiled
 
 FOUR = np.float32(4)
 
 
 @compiled(error_model="numpy", inline="always")
-def _length(x, y, z):  # type: ignore[no-untyped-def]
+def _size(x, y, z, kind):  # type: ignore[no-untyped-def]
+    """Return how far out a place lies: twin.space.size."""
+    if kind == CUBE:
+        return max(abs(x), abs(y), abs(z))
     return np.float32(np.sqrt(np.float64(x * x + y * y + z * z)))
 
 
 @compiled(error_model="numpy", inline="always")
 def _stretch(x, y, z, table, kind, inner, outer, nearest):  # type: ignore[no-untyped-def]
     """Return the metres that one unit of u spans: twin.space.stretch; `nearest`: 1 / the farthest place."""
-    if kind == BOX or (kind != BALL and table == 0):
+    if kind == BOX or (kind == SPHERES and table == 0):
         return inner
     x, y, z = x * FOUR - TWO, y * FOUR - TWO, z * FOUR - TWO
-    radius = _length(x, y, z)
+    radius = _size(x, y, z, kind)
     if radius > ONE:
         factor = (ONE / max(TWO - radius, nearest)) / max(radius, ONE)
-        radius = _length(x * factor, y * factor, z * factor)
+        radius = _size(x * factor, y * factor, z * factor, kind)
     radius = max(radius, ONE)
     return outer * (radius * radius)
 
