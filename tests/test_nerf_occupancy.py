@@ -17,7 +17,7 @@ from nerf.types import Rays
 from priors.geometry import rays as pixel_rays
 from priors.types import Camera
 
-KINDS: list[Kind] = ["box", "ball", "spheres"]
+KINDS: list[Kind] = ["box", "ball", "spheres", "cube"]
 HEIGHT, WIDTH, FRAMES = 24, 48, 6
 CAMERA = Camera(np.array([[40.0, 0, 23.5], [0, 40.0, 8.0], [0, 0, 1]]), (HEIGHT, WIDTH))
 REACH = 0.1
@@ -52,9 +52,14 @@ def lower_half(depth_m: np.ndarray) -> np.ndarray:
     return sparse
 
 
+def size(made: Space, place: np.ndarray) -> float:
+    """How far out a place lies, by its space's norm."""
+    return float(np.abs(place).max() if made.kind == "cube" else np.linalg.norm(place))
+
+
 def cell(made: Space, place: np.ndarray, resolution: int) -> tuple[int, ...]:
     """Table, z, y, x of a place, from the spaces' formulas."""
-    radius = np.linalg.norm(place)
+    radius = size(made, place)
     inner = made.kind == "box" or (made.kind == "spheres" and radius <= 1)
     u = (place + 1) / 2 if inner else (2 - 1 / max(radius, 1)) * place / max(radius, 1) / 4 + 0.5
     x, y, z = np.clip((u * resolution).astype(int), 0, resolution - 1)
@@ -76,8 +81,9 @@ def naive(made: Space, drive: Scene, resolution: int) -> np.ndarray:
                 while True:
                     place = origin + t * direction
                     marks[(mark, *cell(made, place, resolution))] = True
-                    radius = np.linalg.norm(place)
-                    stretch = {"box": 1.0, "ball": max(radius, 1), "spheres": radius if radius >= 1 else 0.5}
+                    radius = size(made, place)
+                    outer = max(radius, 1)
+                    stretch = {"box": 1.0, "ball": outer, "cube": outer, "spheres": radius if radius >= 1 else 0.5}
                     if t >= last:
                         break
                     t = min(last, t + 0.5 * side * stretch[made.kind] / np.linalg.norm(direction))
