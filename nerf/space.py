@@ -9,7 +9,6 @@ The path alone says where the inner region lies and how large it is: a prior fil
 Metres end here: `place` is a point in the space's axes divided by its half extents, |place| <= 1 inside.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Any, Literal, TypeAlias
 
@@ -38,8 +37,8 @@ MOST_STRETCH = 3.0
 """The inner region's half extents: this many times the smallest, at most."""
 KNEE_M = 32.0
 """Camera-z depth up to which spacing is linear, at most: steps follow what a camera sees near it, not the path."""
-CELL_M, LEAST_FINEST, MOST_FINEST = 0.1, 2048, 1 << 14
-"""Largest side of the field's finest cells in the inner region, metres, and how many an axis has."""
+DETAILED_M = 200.0
+"""Length of an axis that has as many cells as a field's config says; a longer one has more, so that they stay small."""
 SHORT_M, STRAIGHT = 1.0, 0.02
 """A path with less spread than this, metres, has no direction; axes with a sine below this are taken as parallel."""
 
@@ -78,8 +77,8 @@ class Space:
     """The space's axes in the world, one a row, orthonormal."""
     knee_most_m: float | None = None
     """Camera-z depth up to which spacing is linear, at most; None, in earlier runs: the middle one of half_m."""
-    finest: int | None = None
-    """Cells along an axis of the field's finest level; None, in earlier runs: what the model's config says."""
+    detail: float = 1.0
+    """How many times as many cells an axis of the field's finest level has as the model's config says."""
 
     @classmethod
     def along(cls, T_world_cam: Poses, kind: Kind) -> "Space":
@@ -94,7 +93,7 @@ class Space:
         low, high = path.min(axis=0), path.max(axis=0)
         half = (high - low) / 2 + around_m
         half = np.maximum(half, half.max() / MOST_STRETCH)
-        side_m = half.max() * (4 if kind != "box" else 2)
+        side_m = float(half.max()) * (2 if kind == "box" else 4)
         return cls(
             kind,
             _triple(((low + high) / 2) @ axes),
@@ -103,7 +102,7 @@ class Space:
             FAR_M,
             (_triple(axes[0]), _triple(axes[1]), _triple(axes[2])),
             KNEE_M,
-            int(np.clip(math.ceil(side_m / CELL_M), LEAST_FINEST, MOST_FINEST)),
+            max(1.0, side_m / DETAILED_M),
         )
 
     @property

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from nerf import roulette
-from nerf.config import FitConfig, ModelConfig
+from nerf.config import MOST_CELLS, FitConfig, ModelConfig
 from nerf.converged import Converged
 from nerf.field import Field, FieldConfig
 from nerf.kernels import kernels_for
@@ -100,7 +100,7 @@ class VolumetricModel:
         self.converged = converged
         self.config, self.family, self.occupancy = config, family, occupancy
         self.space, self.device = occupancy.space, occupancy.kept.device
-        finest = self.space.finest or config.finest
+        finest = min(round(config.finest * self.space.detail), MOST_CELLS)
         grid = GridConfig(log2_size=config.log2_size, finest=finest, tables=self.space.tables)
         self.field = Field(FieldConfig(grid, MLPConfig(width=config.width)), self.device, seed)
         self.sky = Sky(SkyConfig(), self.device)
