@@ -108,6 +108,20 @@ def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, family: str) -> Non
     assert torch.equal(whole.occupancy.kept, parts.occupancy.kept)
 
 
+@pytest.mark.parametrize("family", ["ngp", "mip360", "nerfpp"])
+def test_a_prior_does_not_move_the_space(family: str) -> None:
+    scene, start = corridor("sparse"), fields.family(family).start
+    assert scene.depth_m is not None
+    rng = np.random.default_rng(5)
+    wrong = np.where(rng.random(scene.depth_m.shape) < 0.3, 10 * scene.depth_m, scene.depth_m).astype(np.float32)
+    near = np.where(scene.depth_m < 6, scene.depth_m, 0)
+    thin = np.where(rng.random(scene.depth_m.shape) < 0.01, scene.depth_m, 0)
+    laid = {
+        start(replace(scene, depth_m=each), config(), "cpu").space for each in (scene.depth_m, wrong, near, thin, None)
+    }
+    assert len(laid) == 1
+
+
 def test_a_run_goes_on_in_the_space_that_it_was_begun_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An earlier version laid a box around the prior; its runs end in the bits in which they would have ended then."""
     scene, short = corridor("sparse"), 5

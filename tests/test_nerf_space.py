@@ -207,7 +207,7 @@ def test_cells_and_steps_near_the_camera_do_not_follow_the_path(kind: Kind) -> N
         space = Space.along(poses, kind)
         place = torch.from_numpy(poses[20:21, :3, 3].copy())
         ahead = torch.from_numpy(poses[20:21, :3, 2].copy())
-        u, table = space.warp(place)
+        u, _ = space.warp(place)
         further, _ = space.warp(place + 0.01 * ahead)
         cells = float((further - u).norm()) * 2048 * space.detail / 0.01
         assert cells >= 1 / 0.11, "cells of at most 0.1 m along the path"

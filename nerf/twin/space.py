@@ -29,9 +29,9 @@ def warp(place: Tensor, kind: int) -> tuple[Tensor, Tensor]:
     """Map places (n, 3) to u (n, 3) in [0, 1] and the table (n,) int32 that holds them.
 
     box: u = (x + 1) / 2, clipped. ball: u = z / 4 + 1/2 with z = x inside the unit ball and (2 - 1/|x|) x/|x| outside
-    (MipNeRF-360, equation 10). cube: the same with the largest coordinate for |x|, as nerfstudio's order of infinity has
-    it: a box with everything outside of it in a shell. spheres: the unit ball fills table 0, the shell outside is table 1 of the same z:
-    (x/|x|, 1/|x|) of NeRF++ is what z holds.
+    (MipNeRF-360, equation 10). cube: the same, |x| being the largest coordinate, as in nerfstudio's contraction of
+    order infinity: a box, and all that is outside of it in a shell. spheres: the unit ball fills table 0, the shell
+    outside is table 1 of the same z: (x/|x|, 1/|x|) of NeRF++ is what z holds.
     """
     inner = torch.zeros(place.shape[:-1], dtype=torch.int32, device=place.device)
     if kind == BOX:
