@@ -26,16 +26,15 @@ Triple: TypeAlias = tuple[float, float, float]
 Poses = npt.NDArray[np.floating[Any]]
 
 CODES: dict[str, int] = {"box": BOX, "ball": BALL, "spheres": SPHERES, "cube": CUBE}
-NEAR_M, FAR_M = 0.5, 1000.0
-"""Camera-z depths between which samples lie, metres. What is farther is as good as sky: with a path of 100 m and a
-focal length of 700 pixels it moves by less than 70 of them, and spacing in 1 / depth costs next to nothing there."""
-AROUND_PATH_M = 16.0
-"""How far around the path the inner region reaches, metres: a street's width and its facades."""
-AROUND_PATH_BOX_M = 64.0
-"""The same for a box, outside of which is nothing."""
+NEAR_M = 0.5
+"""Camera-z depth where samples begin, metres."""
+FAR_M = {"cube": 250.0, "box": 250.0, "ball": 1000.0, "spheres": 1000.0}
+"""Camera-z depth where they end, metres; what is farther is as good as sky."""
+AROUND_PATH_M = {"cube": 64.0, "box": 64.0, "ball": 16.0, "spheres": 16.0}
+"""How far around the path the inner region reaches, metres. With 16 in the cube, colours alone lost 1.0 dB."""
 MOST_STRETCH = 3.0
 """The inner region's half extents: this many times the smallest, at most."""
-KNEE_M = 32.0
+KNEE_M = {"cube": 64.0, "box": 64.0, "ball": 32.0, "spheres": 32.0}
 """Camera-z depth up to which spacing is linear, at most: steps follow what a camera sees near it, not the path."""
 DETAILED_M = 200.0
 """Length of an axis that has as many cells as a field's config says; a longer one has more, so that they stay small."""
@@ -89,9 +88,8 @@ class Space:
         """
         axes = _axes(T_world_cam)
         path = T_world_cam[:, :3, 3] @ axes.T
-        around_m = AROUND_PATH_BOX_M if kind == "box" else AROUND_PATH_M
         low, high = path.min(axis=0), path.max(axis=0)
-        half = (high - low) / 2 + around_m
+        half = (high - low) / 2 + AROUND_PATH_M[kind]
         half = np.maximum(half, half.max() / MOST_STRETCH)
         side_m = float(half.max()) * (2 if kind == "box" else 4)
         return cls(
@@ -99,9 +97,9 @@ class Space:
             _triple(((low + high) / 2) @ axes),
             _triple(half),
             NEAR_M,
-            FAR_M,
+            FAR_M[kind],
             (_triple(axes[0]), _triple(axes[1]), _triple(axes[2])),
-            KNEE_M,
+            KNEE_M[kind],
             max(1.0, side_m / DETAILED_M),
         )
 
