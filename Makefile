@@ -38,7 +38,7 @@ test: $(VENV)/.dev  ## the quick tests
 
 # What is compiled or chosen by the CPU's mode: fields, their fit, networks.
 MODE_TESTS := $(addprefix tests/test_,nerf_mlp.py nerf_field.py nerf_grid.py nerf_render.py nerf_sample.py \
-	nerf_occupancy.py short_fit.py nets.py nets_runtime.py nets_int8.py mffnet.py stereo_model.py)
+	nerf_occupancy.py nerf_skips.py short_fit.py nets.py nets_runtime.py nets_int8.py mffnet.py stereo_model.py)
 
 modes: $(VENV)/.dev  ## the same in every CPU mode that this CPU can stand in for; what was compiled is kept
 	for mode in $$($(BIN)/python -c "from priors.machine import cpu; print(*cpu.supported()[1:])"); do \

@@ -88,6 +88,6 @@ def _one_line(box: str, command: str) -> str:
     choice = re.search(r"invalid choice '(.*)' for argument '(--\S+)'\. Expected one of \((.*)\)\.", text)
     if choice is not None:
         wrong, flag, listed = choice.groups()
-        choices = [name.strip(" ',") for name in listed.split(",") if name.strip(" ',")]
+        choices = sorted({part.strip(" '") for part in listed.split(",")} - {"", "None"})  # they come in any order
         return f"{flag} {wrong}: choose one of {', '.join(choices)}{nearest(wrong, choices)}"
     return f"{text[:1].lower() + text[1:].rstrip('.')}: see {command} --help"

@@ -14,6 +14,8 @@ import numpy.typing as npt
 from eval.depth import FloatArray, Mask, has_value
 from eval.errors import DataError
 
+NO_TRUTH = "none"
+"""The label of a truth that there is not: images alone are scored."""
 KB_ROWS, KB_COLUMNS = 352, 1216
 # Top, bottom, left, right as shares of the image, each cut off to whole pixels, as in their authors' code.
 FRACTIONS = {
@@ -70,8 +72,8 @@ class Protocol:
     pooling: Literal["image", "pixel"] = "image"
     """Mean of the frames' figures, or one figure over all pixels."""
     truth: str = "annotated"
-    """Which truth the figures are against: annotated, lidar, disparity, rendered, ... A label: two never share a
-    table."""
+    """Which truth the figures are against: annotated, lidar, disparity, rendered, ..., or none. A label: two never
+    share a table."""
     ranges_m: tuple[float, ...] = (0.0, 10.0, 20.0, 40.0, 80.0)
     """Edges of the breakdown by true distance, metres."""
 
@@ -81,6 +83,8 @@ class Protocol:
         crop = "no crop" if self.crop == "none" else f"{self.crop} crop"
         align = "no alignment" if self.align == "none" else f"{self.align} alignment"
         clamp = "prediction clamped" if self.clamp else "prediction as it is"
+        if self.truth == NO_TRUTH:
+            return f"{self.name}: images alone, this drive has no true depth"
         pooling = "mean over images" if self.pooling == "image" else "over all pixels"
         missing = "" if self.missing == "skip" else f", gaps {self.missing.replace('_', 'ed ')}"
         return f"{self.name}: {self.truth} truth, {cap}, {crop}, {clamp}{missing}, {align}, {pooling}"

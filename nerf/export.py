@@ -63,7 +63,7 @@ def write_cloud(
         How many points were written.
 
     Raises:
-        DataError: the path does not end in .ply.
+        DataError: the path does not end in .ply, or the views hold no point: nothing is written then.
     """
     if path.suffix.lower() != ".ply":
         raise DataError(f"{path}: expected a name that ends in .ply")
@@ -75,6 +75,8 @@ def write_cloud(
         first = nearest(cells_of(points, config.voxel_m), points_m)
         kept, depth_m = points[first], points_m[first]
         on_view()
+    if not len(kept):
+        raise _nothing(path, "point", len(T_world_cam), config)
     write_ply(path, kept, origin_m)
     return len(kept)
 
@@ -154,11 +156,18 @@ def write_mesh(
         on_view()
     mesh = _triangles(grid, origin_m) if fused else None
     if mesh is None or not len(mesh.faces):
-        raise DataError(
-            f"{path}: no surface in {len(T_world_cam)} views within {config.farthest_m:g} m: nothing to write"
-        )
+        raise _nothing(path, "surface", len(T_world_cam), config)
     triangles.write_triangles(path, mesh)
     return len(mesh.faces)
+
+
+def _nothing(path: Path, what: str, views: int, config: CloudConfig) -> DataError:
+    """Return the error of views that hold nothing: a fog, or a scene that is farther away."""
+    seen = "the view holds" if views == 1 else f"{views} views hold"
+    return DataError(
+        f"{path}: not written: {seen} no {what} of opacity {config.opacity:g} within {config.farthest_m:g} m: "
+        "train longer, or choose another --opacity, --farthest-m or --agreement"
+    )
 
 
 def _triangles(grid: Any, origin_m: Offset) -> Triangles:

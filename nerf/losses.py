@@ -139,10 +139,11 @@ def _colour(rays: Rays, rendered: Rendered, gradients: Gradients, each: Tensor) 
     """Reduce the squared colour errors, set their gradients, and add each ray's to `each`."""
     assert rays.rgb is not None
     off = rendered.rgb - rays.rgb
-    each += (off * off).mean(1)
+    squared = off * off
+    each += squared.mean(1)
     if rays.share is None:
         gradients.rgb.copy_(2 / off.numel() * off)
-        return (off * off).mean()
+        return squared.mean()
     gradients.rgb.copy_(2 / 3 * rays.share[:, None] * off)
     return (rays.share * each).sum()
 

@@ -18,7 +18,7 @@ def chances(weight: Tensor, least: float) -> Tensor:
 
     The mean weight is kept for sure: few weigh more, and they make up most of the sum. So something is always kept.
     """
-    mean = weight.mean()
+    mean = torch.minimum(weight.mean(), weight.max())  # rounding puts the mean of equal weights above them all
     return torch.clamp(weight / mean, least, 1.0) if mean > 0 else torch.ones_like(weight)
 
 

@@ -1,6 +1,6 @@
 """Train-test split: the study's rule, on positions in the drive."""
 
-from priors.errors import DataError, expect
+from priors.errors import DataError, UsageError, expect
 
 EVERY_HELD_OUT = 10
 SPARSE_STEP = 4
@@ -35,7 +35,8 @@ def split(count: int, views: str) -> tuple[list[int], list[int]]:
         training positions, held-out positions.
 
     Raises:
-        DataError: views is none of these, or more frames are asked for than there are.
+        UsageError: views is none of these, or more frames are asked for than there are.
+        DataError: there is no frame to train on.
     """
     test = held_out(count)
     rest = [position for position in range(count) if position not in set(test)]
@@ -43,7 +44,7 @@ def split(count: int, views: str) -> tuple[list[int], list[int]]:
         raise DataError("no frames to train on: choose more with --frames")
     if views == HELD_OUT:
         if not test:
-            raise DataError(f"--views {HELD_OUT}: none of {count} frames is held out: take {EVERY_HELD_OUT} or more")
+            raise UsageError(f"--views {HELD_OUT}: none of {count} frames is held out: take {EVERY_HELD_OUT} or more")
         return test, test
     if views == "dense":
         return rest, test
@@ -51,6 +52,6 @@ def split(count: int, views: str) -> tuple[list[int], list[int]]:
         return rest[::SPARSE_STEP], test
     check_views(views)
     if int(views) > len(rest):
-        raise DataError(f"--views {views}: expected dense, sparse or a number from 1 to {len(rest)}")
+        raise UsageError(f"--views {views}: expected dense, sparse or a number from 1 to {len(rest)}")
     wanted = int(views)
     return [rest[(2 * i + 1) * len(rest) // (2 * wanted)] for i in range(wanted)], test

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 
+from eval.protocol import NO_TRUTH
 from priors.methods.lidar import Lidar
 from priors.types import Depth, Drive
 
@@ -13,7 +14,7 @@ class Truths:
         self._frames = {id_: position for position, id_ in enumerate(drive.ids)}
         self._drive = drive
         first = [drive[self._frames[id_]] for id_ in ids]
-        self.label = "none"
+        self.label = NO_TRUTH
         """none, annotated or lidar: which truth it is."""
         self.why_none = ""
         if first and all(frame.has("truth") for frame in first):
@@ -25,7 +26,7 @@ class Truths:
 
     def __call__(self, id_: str) -> Depth | None:
         """Return a frame's true depth; None where there is none."""
-        if self.label == "none":
+        if self.label == NO_TRUTH:
             return None
         frame = self._drive[self._frames[id_]]
         if self.label == "annotated":

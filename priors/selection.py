@@ -52,16 +52,20 @@ def parse_range(frames: str | None, flag: str = "--frames") -> tuple[int, int]:
     return low, high
 
 
-def select(ids: Sequence[str], frames: str | None) -> list[int]:
-    """Return the indices of the frames in a range a:b (see Selection.frames); DataError where none is in it."""
+def select(ids: Sequence[str], frames: str | None, flag: str = "--frames") -> list[int]:
+    """Return the indices of the frames in a range a:b (see Selection.frames).
+
+    Raises:
+        UsageError: the range is none, or no frame is in it. It names the flag.
+    """
     if frames is None:
         return list(range(len(ids)))
-    low, high = parse_range(frames)
+    low, high = parse_range(frames, flag)
     numbers = _numbers(ids)
     indices = [index for index, number in enumerate(numbers) if low <= number < high]
     if not indices:
         there = f"the drive has {numbers[0]}:{numbers[-1] + 1}" if numbers else "the drive has none"
-        raise DataError(f"--frames {frames}: no frames there; {there}")
+        raise UsageError(f"{flag} {frames}: no frames there; {there}")
     return indices
 
 

@@ -130,6 +130,7 @@ class Frame:
     """The car that took it, where the error of its rectification is known."""
     files: Mapping[str, Callable[..., Path | None]] = field(default_factory=dict)
     """Which file a reader reads when it is called with the same arguments; None where the drive has no such file.
+    `sweep.times` is another file that the reader `sweep` reads, whatever its arguments.
     A reader that is not listed is not watched: a changed file of it is not noticed."""
 
     def has(self, what: Input) -> bool:
@@ -229,6 +230,18 @@ class Method(ABC):
     @abstractmethod
     def __call__(self, frame: Frame) -> Depth:
         """Make the frame's depth map."""
+
+    @property
+    def measures(self) -> bool:
+        """Whether `resolve` measures something in the frame's files, and asks this machine nothing: it is kept."""
+        return False
+
+    def unread(self) -> Mapping[str, str]:
+        """Return the fields that these settings leave without effect, each with the settings that would read it.
+
+        The command line tells who sets one of them: {"size": "--stereo.model cfnet or pcwnet"}.
+        """
+        return {}
 
     def weights_digest(self) -> str | None:
         """Return the hash of the learned weights, for the cache's key; None where there are none."""

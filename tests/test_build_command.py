@@ -43,6 +43,19 @@ def test_without_a_method_it_says_what_the_drive_has(run: Run) -> None:
     refused(run("alone"), "alone has images alone", "--method auto takes mono")
 
 
+def test_a_mistyped_method_is_answered_with_those_there_are(run: Run) -> None:
+    write_folder(Path("mine"), ("a",))
+    told = "--method sterio: choose one of auto, completion, lidar, mono, stereo: did you mean stereo?"
+    refused(run("mine", "--method", "sterio"), told)
+
+
+def test_a_frame_that_failed_is_named_once(run: Run, raw_drive: Path) -> None:
+    (raw_drive.parent / "calib_imu_to_velo.txt").unlink()
+    code, _, err = run(str(raw_drive), "--method", "lidar", "--lidar.sweeps", "3")
+    lines = [line for line in err.splitlines() if "calib_imu_to_velo.txt" in line]
+    assert code == 1 and lines and all(line.count("frame 00") == 1 for line in lines), err
+
+
 def test_auto_takes_it_and_says_so(run: Run) -> None:
     write_folder(Path("mine"), ("a",), right=False)
     (Path("mine") / "depth").rename("mine/sparse")
@@ -50,6 +63,24 @@ def test_auto_takes_it_and_says_so(run: Run) -> None:
     assert code == 0 and "cache/mine/completion-" in out
     assert "drive: mine\n" in err and "method: completion: it has sparse depth maps and no stereo pair\n" in err
     assert "--stereo.model: not used by completion\n" in err and "reach" not in err
+
+
+def test_maps_whose_manifest_is_damaged_and_key_another_are_told(run: Run) -> None:
+    """This build would make its maps in another folder: an earlier version's key cannot be made out."""
+    write_folder(Path("mine"), ("a",), right=False)
+    (Path("mine") / "depth").rename("mine/sparse")
+    folder = Path("cache/mine/completion-0123456789")
+    (folder / "depth").mkdir(parents=True)
+    (folder / "depth" / "a.png").write_bytes(b"")
+    for text in ("{", None):
+        (folder / "manifest.json").unlink(missing_ok=True)
+        if text is not None:
+            (folder / "manifest.json").write_text(text)
+        code, _, err = run("mine", "--method", "completion", "--dry-run")
+        told = [line for line in err.splitlines() if f"left out: {folder}" in line]
+        assert code == 0 and len(told) == 1 and "put manifest.json back from a copy" in told[0]
+    (folder / "manifest.json").write_text('{"format": 99}')
+    assert "left out" not in run("mine", "--method", "completion", "--dry-run")[2], "not ours to judge"
 
 
 @pytest.mark.parametrize(
@@ -65,10 +96,39 @@ def test_flags_of_another_method_are_refused(run: Run, flags: tuple[str, ...], s
     refused(run("mine", "--method", "stereo", *flags), says)
 
 
+@pytest.mark.parametrize(
+    ("typed", "says"),
+    [
+        ("stereo --stereo.size m", "--stereo.size: not used as --method stereo is set: it is read with --stereo.model"),
+        ("stereo --stereo.runtime=fp32 --stereo.model classical", "--stereo.runtime: not used"),
+        ("stereo --stereo.model cfnet --stereo.weights x.onnx --stereo.size l", "--stereo.size: not used"),
+        ("completion --completion.size=m", "with --completion.model mffnet"),
+        ("completion --completion.source velodyne_raw --completion.lidar.no-motion", "with --completion.source lidar"),
+        ("mono --mono.adapt_s 5", "with --mono.adapt lidar"),
+        ("mono --mono.adapt lidar --mono.align-to lidar", "with --mono.align scale"),
+        ("mono --mono.align scale --mono.align-per frame --mono.hold-out none", "--mono.hold-out: not used"),
+        ("mono --mono.weights x.onnx --mono.size s", "--mono.size: not used"),
+    ],
+)
+def test_flags_that_the_chosen_model_does_not_read_are_refused(run: Run, typed: str, says: str) -> None:
+    write_folder(Path("mine"), ("a",))
+    refused(run("mine", "--method", *typed.split()), says)
+
+
+def test_what_turns_out_unread_is_named(run: Run) -> None:
+    write_folder(Path("mine"), ("a",), right=False)
+    (Path("mine") / "depth").rename("mine/sparse")
+    typed = ("--completion.lidar.sweeps", "3", "--completion.size", "m", "--dry-run")
+    for method in ("auto", "completion"):
+        code, _, err = run("mine", "--method", method, *(typed if method == "auto" else (*typed[:2], typed[-1])))
+        assert code == 0 and "--completion.lidar.sweeps: not used here: it is read with --completion.source" in err
+        assert ("--completion.size: not used here" in err) == (method == "auto")
+
+
 def test_frames_that_are_not_there_are_told_before_anything_is_compiled(run: Run) -> None:
     write_folder(Path("mine"), ("0", "1"))
     code, out, err = run("mine", "--method", "stereo", "--frames", "7:9")
-    assert code != 0 and not out and len(err.splitlines()) == 1
+    assert code == 2 and not out and len(err.splitlines()) == 1
     assert "--frames 7:9" in err and "the drive has 0:2" in err
 
 

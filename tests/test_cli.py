@@ -6,39 +6,17 @@ import re
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
+from installed import PRIORS, fail, priors, stamps, succeed
 
 from priors import codecs
 
-PRIORS = Path(sys.executable).parent / "priors"
 FRAMES = 6
-
-
-def priors(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [str(PRIORS), *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=300)
-
-
-def succeed(*arguments: object, cwd: Path) -> str:
-    done = priors(*arguments, cwd=cwd)
-    assert done.returncode == 0, done.stderr
-    return done.stdout
-
-
-def fail(*arguments: object, cwd: Path, code: int = 1) -> str:
-    """Run what must fail; returns the error, which is one line without a traceback."""
-    done = priors(*arguments, cwd=cwd)
-    assert done.returncode == code, done.stdout + done.stderr
-    assert "Traceback" not in done.stderr
-    errors = [line for line in done.stderr.splitlines() if line.startswith("error:")]
-    assert len(errors) <= 1
-    return errors[0] if errors else done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +44,6 @@ def copy(street: Path, tmp_path: Path) -> Path:
 
 def drive_folder(street: Path) -> Path:
     return next(street.glob("*/*_sync"))
-
-
-def stamps(folder: Path) -> dict[str, int]:
-    return {str(path): path.stat().st_mtime_ns for path in folder.rglob("depth/[!.]*.png")}
 
 
 def test_all_methods_are_built_and_scored_in_one_table(built: Path) -> None:
@@ -235,99 +209,6 @@ def test_shards_make_what_one_build_makes(street: Path, built: Path, tmp_path: P
     for path in stamps(tmp_path):
         whole = built / Path(path).relative_to(tmp_path)
         np.testing.assert_array_equal(cv2.imread(path, -1), cv2.imread(str(whole), -1))
-
-
-def damage_image(drive: Path) -> Path:
-    path = sorted((drive / "image_02" / "data").iterdir())[2]
-    path.write_bytes(path.read_bytes()[:500])
-    return path
-
-
-def damage_sweep(drive: Path) -> Path:
-    path = sorted((drive / "velodyne_points" / "data").iterdir())[2]
-    path.write_bytes(path.read_bytes()[:-7])
-    return path
-
-
-def empty_sweep(drive: Path) -> Path:
-    path = sorted((drive / "velodyne_points" / "data").iterdir())[2]
-    path.write_bytes(b"")
-    return path
-
-
-def nan_pose(drive: Path) -> Path:
-    path = sorted((drive / "oxts" / "data").iterdir())[2]
-    path.write_text(path.read_text().replace(path.read_text().split()[0], "nan", 1))
-    return path
-
-
-def resized_image(drive: Path) -> Path:
-    path = sorted((drive / "image_02" / "data").iterdir())[2]
-    cv2.imwrite(str(path), np.zeros((50, 60, 3), np.uint8))
-    return path
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("damage", "method"),
-    [
-        (damage_image, "stereo"),
-        (resized_image, "stereo"),
-        (damage_sweep, "lidar"),
-        (empty_sweep, "lidar"),
-        (nan_pose, "lidar"),
-    ],
-)
-def test_a_bad_frame_is_named_and_the_others_are_built(copy: Path, tmp_path: Path, damage: object, method: str) -> None:
-    path = damage(drive_folder(copy))  # type: ignore[operator]
-    done = priors("build", copy, "--method", method, cwd=tmp_path)
-    assert done.returncode == 1
-    assert path.name in done.stderr
-    assert "Traceback" not in done.stderr
-    assert len(stamps(tmp_path)) == FRAMES - 1
-
-
-def drop_key(drive: Path) -> str:
-    path = drive.parent / "calib_cam_to_cam.txt"
-    path.write_text(re.sub("P_rect_02:.*\n", "", path.read_text()))
-    return "P_rect_02"
-
-
-def drop_calibration(drive: Path) -> str:
-    (drive.parent / "calib_cam_to_cam.txt").unlink()
-    return "calib_cam_to_cam.txt"
-
-
-def swap_baseline(drive: Path) -> str:
-    path = drive.parent / "calib_cam_to_cam.txt"
-    text = path.read_text()
-    path.write_text(
-        text.replace("P_rect_02", "P_rect_xx").replace("P_rect_03", "P_rect_02").replace("P_rect_xx", "P_rect_03")
-    )
-    return "baseline"
-
-
-def drop_images(drive: Path) -> str:
-    shutil.rmtree(drive / "image_02" / "data")
-    (drive / "image_02" / "data").mkdir()
-    return "image_02"
-
-
-@pytest.mark.parametrize("damage", [drop_key, drop_calibration, swap_baseline, drop_images])
-def test_a_bad_drive_is_one_line(copy: Path, tmp_path: Path, damage: object) -> None:
-    expected = damage(drive_folder(copy))  # type: ignore[operator]
-    assert expected in fail("build", copy, "--method", "stereo", cwd=tmp_path)
-
-
-@pytest.mark.parametrize(
-    ("folder", "method", "expected"),
-    [("image_03", "stereo", "image_03"), ("velodyne_points", "lidar", "velodyne")],
-)
-def test_an_input_that_no_frame_has_is_an_error(
-    copy: Path, tmp_path: Path, folder: str, method: str, expected: str
-) -> None:
-    shutil.rmtree(drive_folder(copy) / folder)
-    assert expected in fail("build", copy, "--method", method, cwd=tmp_path)
 
 
 def test_a_missing_folder_is_one_line(tmp_path: Path) -> None:

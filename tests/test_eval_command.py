@@ -12,6 +12,7 @@ from factories import write_folder
 
 from cli.console import guarded
 from cli.priors import eval as command
+from cli.priors import report
 from priors import cache
 from priors.cache import Prior
 from priors.drives import open_drive
@@ -48,8 +49,8 @@ def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def run(capsys: pytest.CaptureFixture[str]) -> Run:
     """Run `priors eval`; returns exit code, output and errors."""
 
-    def call(*arguments: str) -> tuple[int, str, str]:
-        code = guarded(lambda: command.run(list(arguments)))
+    def call(*arguments: str, what: object = command) -> tuple[int, str, str]:
+        code = guarded(lambda: what.run(list(arguments)))  # type: ignore[attr-defined]
         done = capsys.readouterr()
         return code, done.out, done.err
 
@@ -133,6 +134,12 @@ def test_what_cannot_be_is_told_before_anything_is_scored(run: Run, flags: tuple
     Path("file").touch()
     code, out, err = run(*flags)
     assert (code, out) == (2, "") and says in err and len(err.splitlines()) == 1
+
+
+@pytest.mark.parametrize("what", [command, report])
+def test_frames_that_the_drive_does_not_have_are_told_once(run: Run, what: object) -> None:
+    code, out, err = run("cache/one", "--frames", "7:9", what=what)
+    assert (code, out, err.count("--frames 7:9")) == (2, "", 1) and "the drive has 0:3" in err
 
 
 def test_columns_are_named_as_tables_print_them_too(run: Run) -> None:

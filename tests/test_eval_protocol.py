@@ -1,6 +1,7 @@
 """Protocols: crops to the pixel, caps, fills and alignments."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,6 +154,10 @@ def test_other_sizes_are_refused():
 def test_an_unknown_protocol_lists_the_known():
     with pytest.raises(ScoreError, match=r"no protocol 'best': choose one of paper, .*stereo2015"):
         preset("best")
+
+
+def test_no_truth_is_said_in_words():
+    assert replace(preset("garg"), truth="none").describe() == "garg: images alone, this drive has no true depth"
 
 
 def test_descriptions_tell_protocols_apart():

@@ -14,6 +14,7 @@ ROOMS = [
     "priors/records",
     "priors/owner",
     "priors/types",
+    "priors/drive_around",
     "priors/text",
     "priors/frame_ids",
     "priors/poses",

@@ -93,6 +93,7 @@ def test_the_registry_holds_methods(name: str) -> None:
     method = kind()
     assert issubclass(kind, Method) and is_dataclass(kind) and method.name == name
     assert kind.VERSION >= 1
+    assert method.unread().keys() < {each.name for each in fields(kind)}
     with pytest.raises(FrozenInstanceError):
         setattr(method, fields(kind)[0].name, None)
 

@@ -45,6 +45,10 @@ def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+ALL = ("--opacity", 0.0, "--agreement", 1e9, "--farthest-m", 1e9)
+"""Of a field that has learned for three steps, every pixel is a point of a cloud."""
+
+
 def nerf(*arguments: object) -> int:
     return PROGRAM.run([str(argument) for argument in arguments])
 
@@ -159,7 +163,7 @@ def test_a_video_and_a_cloud_are_written(home: Path, tmp_path: Path) -> None:
     assert nerf("video", run, "--frames", "2:4", "--steps", 2, "--out", tmp_path / "v.mp4") == 0
     with av.open(str(tmp_path / "v.mp4")) as film:
         assert (film.streams.video[0].codec_context.name, film.streams.video[0].frames) == ("h264", 3)
-    assert nerf("export", run, "--frames", "2:3", "--opacity", 0.0, "--out", tmp_path / "c.ply") == 0
+    assert nerf("export", run, "--frames", "2:3", *ALL, "--out", tmp_path / "c.ply") == 0
     assert (tmp_path / "c.ply").read_bytes().startswith(b"ply\n")
 
 
@@ -239,7 +243,7 @@ def test_a_run_keeps_its_cameras(home: Path, alone: Path) -> None:
 def test_without_the_drive_a_field_is_shown_all_the_same(home: Path, alone: Path) -> None:
     np.savetxt(alone / "p.txt", [open_run(alone).viewpoints().T_world_cam[9][:3].ravel()])
     assert nerf("render", alone, "--poses", alone / "p.txt", "--out", alone / "new") == 0
-    assert nerf("export", alone, "--frames", "9") == 0 and (alone / "cloud.ply").exists()
+    assert nerf("export", alone, "--frames", "9", *ALL) == 0 and (alone / "cloud.ply").exists()
     shown = codecs.read_image(alone / "new" / "rgb" / "000000.png").astype(int)
     own = codecs.read_image(picture_path(home / "runs" / "prior" / "renders", "rgb", HELD_OUT))
     assert np.abs(shown - own).max() <= 2
@@ -301,7 +305,7 @@ def test_without_a_name_the_only_run_is_taken(
     assert "which run? There is no folder runs/ here" in refused(capsys, "export")
     shutil.copytree(home / "runs" / "prior", "runs/a")
     shutil.copytree(home / "runs" / ".scenes", "runs/.scenes")
-    assert nerf("export", "--frames", "0:1") == 0
+    assert nerf("export", "--frames", "0:1", *ALL) == 0
     assert "run: runs/a" in capsys.readouterr().err and Path("runs/a/cloud.ply").is_file()
     shutil.copytree("runs/a", "runs/b")
     for named in ([], ["runs"]):
@@ -347,7 +351,7 @@ def test_a_run_finds_its_drive_again(
     (tmp_path / "street").rename("moved")
     assert "has the drive moved? Name it: --data" in refused(capsys, "eval", "runs/a")
     assert "is not the drive of" in refused(capsys, "export", "runs/a", "--frames", "0:2", "--data", another_street())
-    assert nerf("export", "runs/a", "--frames", "0:1", "--data", "moved") == 0
+    assert nerf("export", "runs/a", "--frames", "0:1", *ALL, "--data", "moved") == 0
     assert len(open_run(Path("runs/a")).drive) == 10, "the run knows the new place"
 
 
@@ -363,3 +367,40 @@ def test_views_that_the_drive_does_not_have_leave_no_run(
     said = refused(capsys, "fit", home / "street", "--views", "50", "--run", tmp_path / "run")
     assert "--views 50: expected dense, sparse or a number from 1 to 9" in said
     assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("typed", "says"),
+    [
+        ("study {street} --views 2 50", "--views 50: expected"),
+        ("study {street} --frames 90:99", "--frames 90:99: no frames there; the drive has 0:10"),
+        ("fit {street} --frames 90:99", "--frames 90:99: no frames there"),
+        ("export {run} --frames 90:99", "--frames 90:99: no frames there"),
+        ("render {run} --frames 90:99", "--frames 90:99: no frames there"),
+        ("fit {street} --camera image_09", "no camera 'image_09'"),
+        ("fit {street} --drive other", "no drive 'other'"),
+    ],
+)
+def test_what_the_drive_does_not_have_is_a_wrong_flag(
+    home: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    typed: str,
+    says: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert nerf(*typed.format(street=home / "street", run=home / "runs" / "prior").split()) == 2
+    err = capsys.readouterr().err
+    assert says in err and err.count("error:") == 1 and not list(tmp_path.iterdir())
+
+
+def test_a_field_that_has_learned_nothing_gives_no_cloud(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = refused(
+        capsys, "export", home / "runs" / "prior", "--frames", "2:3", "--farthest-m", 1e-3, "--out", tmp_path / "c.ply"
+    )
+    assert "c.ply: not written: the view holds no point of opacity 0.5 within 0.001 m" in said and not list(
+        tmp_path.iterdir()
+    )

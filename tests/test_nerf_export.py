@@ -114,12 +114,36 @@ def test_a_cloud_follows_the_camera_s_pose(tmp_path):
 
 
 def test_far_and_thin_pixels_are_left_out(tmp_path):
-    assert write_cloud(tmp_path / "a.ply", wall, CAMERA, poses(0.0), CloudConfig(farthest_m=9.9)) == 0
-    assert len(read_ply(tmp_path / "a.ply")) == 0
+    half = wall(np.eye(4), CAMERA)
+    half.depth_m[:, :20] = half.median_m[:, :20] = 11.0
+    config = CloudConfig(farthest_m=10.5, voxel_m=1e-3)
+    assert write_cloud(tmp_path / "a.ply", lambda *_: half, CAMERA, poses(0.0), config) == 26 * 29
     config = CloudConfig(opacity=0.05, voxel_m=1e-3)
     assert write_cloud(tmp_path / "b.ply", wall, CAMERA, poses(0.0), config) == 31 * 49
     with pytest.raises(DataError, match="above 0"):
         CloudConfig(voxel_m=0)
+
+
+@pytest.mark.parametrize(
+    ("config", "says"),
+    [
+        (CloudConfig(farthest_m=9.9), "within 9.9 m"),
+        (CloudConfig(agreement=1e-9), "--agreement"),
+        (CloudConfig(opacity=0.9), "of opacity 0.9"),
+    ],
+)
+def test_a_cloud_of_a_fog_is_not_written(tmp_path, config, says):
+    def fog(T_world_cam, camera):
+        view = wall(T_world_cam, camera)
+        return replace(
+            view, opacity=0.8 * view.opacity, median_m=1.5 * view.median_m if "agree" in says else view.median_m
+        )
+
+    for count in (1, 2):
+        seen = "the view holds" if count == 1 else "2 views hold"
+        with pytest.raises(DataError, match=rf"a.ply: not written: {seen} no point .*({says})"):
+            write_cloud(tmp_path / "a.ply", fog, CAMERA, poses(*[0.0] * count), config)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_cloud_that_fails_leaves_the_old_file(tmp_path):

@@ -25,6 +25,7 @@ from priors.records import restore
 from priors.types import Camera
 
 SIZE = (24, 64)
+TRAINED = [name for name in fields.names() if fields.is_trained(name)]
 CAMERA = Camera(np.array([[40.0, 0, 31.5], [0, 40.0, 11.5], [0, 0, 1]]), SIZE)
 
 
@@ -68,7 +69,7 @@ def held_out(scene: Scene, run: Path) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("family", filter(fields.is_trained, fields.names()))
+@pytest.mark.parametrize("family", TRAINED)
 def test_every_family_learns_colour_and_depth(tmp_path: Path, family: str) -> None:
     scene = corridor()
     seen: list[Status] = []
@@ -88,7 +89,7 @@ def test_a_prior_helps_where_views_are_few(tmp_path: Path) -> None:
     assert with_[1] < 0.5 * without[1]
 
 
-@pytest.mark.parametrize("family", filter(fields.is_trained, fields.names()))
+@pytest.mark.parametrize("family", TRAINED)
 def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, family: str) -> None:
     scene = corridor("sparse")
     whole = fit(scene, config(40, family), tmp_path / "whole")

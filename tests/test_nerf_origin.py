@@ -1,7 +1,7 @@
 """A drive far from the world's zero, in UTM say, gives what the same drive near zero gives, and exact coordinates."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from nerf.prepare import SceneConfig
 from nerf.run import Run, begin, open_run
 from nerf.sample import SamplerConfig
 from nerf.view.stage import open_stage
+from priors.drive_around import DriveAround
 from priors.drives import open_drive
 from priors.types import Drive, Frame
 
@@ -26,34 +27,20 @@ WHOLE = CloudConfig(opacity=0, agreement=1e9, farthest_m=1000, voxel_m=1e-3)
 """Takes every pixel of a field that has learned little."""
 
 
-@dataclass(frozen=True)
-class Moved:
+class Moved(DriveAround):
     """A drive whose world's zero lies elsewhere."""
 
-    source: Drive
-    offset_m: Sequence[float]
-
-    @property
-    def name(self) -> str:
-        return self.source.name
-
-    @property
-    def ids(self) -> list[str]:
-        return list(self.source.ids)
-
-    def __len__(self) -> int:
-        return len(self.source)
+    def __init__(self, drive: Drive, offset_m: Sequence[float]) -> None:
+        super().__init__(drive)
+        self.offset_m = offset_m
 
     def __getitem__(self, index: int) -> Frame:
-        frame = self.source[index]
+        frame = self.drive[index]
         assert frame.T_world_cam is not None
         return replace(frame, T_world_cam=moved(frame.T_world_cam, self.offset_m))
 
-    def describe(self) -> dict[str, Any]:
-        return self.source.describe()
-
     def fingerprint(self) -> str:
-        return self.source.fingerprint() + str(self.offset_m)
+        return self.drive.fingerprint() + str(self.offset_m)
 
 
 def moved(T_world_cam: np.ndarray, offset_m: Sequence[float]) -> np.ndarray:

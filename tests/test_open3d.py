@@ -150,9 +150,9 @@ def test_every_format_of_a_mesh_is_read_by_open3d(o3d: Any, tmp_path: Path, suff
 
 
 def test_views_without_a_surface_are_told(o3d: Any, tmp_path: Path) -> None:
-    with pytest.raises(DataError, match="no surface in 1 views within 5 m"):
+    with pytest.raises(DataError, match=r"the view holds no surface of .* within 5 m"):
         write_mesh(tmp_path / "none.ply", wall, CAMERA, poses(0.0), CloudConfig(farthest_m=5))
-    with pytest.raises(DataError, match="no surface in 1 views within 60 m"):
+    with pytest.raises(DataError, match=r"the view holds no surface of .* within 60 m"):
         write_mesh(tmp_path / "none.ply", wall, CAMERA, poses(9.999), CloudConfig(voxel_m=50.0))
     assert not list(tmp_path.iterdir())
 

@@ -22,7 +22,7 @@ from nerf.run import Run, find_all, names_of
 from nerf.story import story_page
 from nerf.truths import Truths
 from priors import codecs
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.report.page import SUFFIX
 from priors.report.sample import Sample
 from priors.types import Image
@@ -145,7 +145,7 @@ def _by_drive(runs: Sequence[Run], reports: Sequence[Report]) -> list[tuple[list
 def _compared(runs: Sequence[Run]) -> Iterator[tuple[str, Image]]:
     """Set the views side by side that all runs hold out, of one drive."""
     if not _one_drive(runs):
-        raise DataError("--pictures: the runs are of several drives: name the runs of one")
+        raise UsageError("--pictures: the runs are of several drives: name the runs of one")
     drive, scene, names = runs[0].drive, runs[0].scene, names_of(runs)
     ids = [[each.scene.ids[position] for position in each.scene.test] for each in runs]
     truths = Truths(drive, ids[0])

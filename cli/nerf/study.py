@@ -16,11 +16,11 @@ from eval import typeset
 from nerf import study_table
 from nerf.config import FitConfig
 from nerf.losses import LossConfig
-from nerf.split import check_views
+from nerf.split import check_views, split
 from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, run_study
 from priors.errors import LARGEST_SEED, expect_between
 from priors.filters import Filters
-from priors.selection import parse_range
+from priors.selection import parse_range, select
 
 EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table.
 Runs that are done are not made again; with another --time or --steps they are begun anew.
@@ -119,6 +119,9 @@ def run(arguments: list[str]) -> int:
 
 def _make(args: StudyArguments, command: str) -> int:
     drive, grid = args.open(["nerf", "study"]), args.grid()
+    count = len(select(drive.ids, args.frames))
+    for views in args.views:  # what no run can have is told before the first
+        split(count, views)
 
     def command_of(spec: RunSpec, folder: Path) -> str:
         return _command(args, spec, folder)

@@ -2,7 +2,6 @@
 
 import shlex
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field, make_dataclass
 from glob import escape
 from pathlib import Path
@@ -18,6 +17,7 @@ from priors import build, methods
 from priors.advice import advise_method
 from priors.build import BuildReport, Job, Plan
 from priors.cache import load
+from priors.cache.manifest import NewerFormatError
 from priors.drives import poses_of
 from priors.errors import DataError, UsageError, expect_between
 from priors.filters import Filters
@@ -75,6 +75,7 @@ def run(arguments: list[str]) -> int:
 def _build(args: BuildArguments, typed: list[str]) -> int:
     if args.method not in (None, "auto"):
         _refuse_idle_flags(str(args.method), typed)
+        _refuse_unread(args.settings(str(args.method)), typed)
     with busy("looking at the drive"):
         job, plan = _prepare(args, typed)
     if args.dry_run:
@@ -83,7 +84,7 @@ def _build(args: BuildArguments, typed: list[str]) -> int:
     with progress(job.method.name, len(plan.todo)) as step:
         report = job.run(plan, args.workers, step, _note)
     for frame_id, error in sorted(report.failed.items()):
-        err.complain(error, f"frame {frame_id}")
+        err.complain(error.removeprefix(f"frame {frame_id}: "), f"frame {frame_id}")
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0
@@ -95,22 +96,29 @@ def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
     indices = select(drive.ids, args.selection.frames)  # wrong frames are told before anything is compiled
     method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
     job = build.prepare(drive, args.settings(method), args.filters, args.cache)
-    _tell_of_other_poses(job)
+    for flag, reader in _unread_flags(job.method, typed).items():
+        err.print(f"{flag}: not used here: it is read with {reader}")
+    _tell_of_unused(job)
     return job, job.plan(args.selection)
 
 
-def _tell_of_other_poses(job: Job) -> None:
-    """Say which maps of this method lie there already, made with other poses of the drive: they are not mixed."""
+def _tell_of_unused(job: Job) -> None:
+    """Say which maps of this method lie there already and are not used: of other poses, or without their manifest."""
     if job.prior.ids():
         return
     own = poses_of(job.drive.describe())
-    siblings = sorted(job.prior.folder.parent.glob(f"{escape(job.method.name)}-*"))
-    for folder in siblings:
-        with suppress(DataError):
+    siblings = set(job.prior.folder.parent.glob(f"{escape(job.method.name)}-*")) - {job.prior.folder}
+    for folder in sorted(siblings):
+        try:
             made_with = poses_of(load(folder).drive)
             if made_with != own:
                 told = f"made with {made_with} poses, these are {own}"
                 err.print(f"{folder}: {told}: --poses {made_with} goes on with it")
+        except NewerFormatError:
+            continue  # `priors list` and `priors eval` name it
+        except DataError as error:
+            mend = f"Where an earlier version made it, put manifest.json back from a copy, or keep {job.prior.folder}"
+            err.print(f"left out: {error}. {mend}")
 
 
 def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> str:
@@ -144,6 +152,22 @@ def _refuse_idle_flags(method: str, typed: list[str]) -> None:
         others = " or ".join(dict.fromkeys(str(_method_of(flag)) for flag in idle))
         what = "a flag" if len(idle) == 1 else "flags"
         raise UsageError(f"{', '.join(idle)}: {what} of --method {others}, not of {method}: leave out one or the other")
+
+
+def _unread_flags(method: Method, typed: list[str]) -> dict[str, str]:
+    """Return the flags that were typed of a method and that its settings leave without effect, with what reads them."""
+    unread, found = method.unread(), {}
+    for flag in (word.partition("=")[0] for word in typed if word.startswith("--")):
+        name, *parts = flag.removeprefix("--").replace("-", "_").split(".")
+        if name == method.name and parts and (field := parts[0].removeprefix("no_")) in unread:
+            found[flag] = unread[field]
+    return found
+
+
+def _refuse_unread(method: Method, typed: list[str]) -> None:
+    """Raise UsageError where a flag was typed that the method's other flags leave without effect."""
+    for flag, reader in _unread_flags(method, typed).items():
+        raise UsageError(f"{flag}: not used as --method {method.name} is set: it is read with {reader}")
 
 
 def _note(line: str) -> None:

@@ -26,7 +26,7 @@ from priors.report.page import SUFFIX
 from priors.report.sample import Sample
 from priors.report.scores import DriveScores, scores_page, sparsification
 from priors.score import Score, pair, score_pairs
-from priors.selection import parse_range
+from priors.selection import parse_range, select
 from priors.types import Drive
 
 EXAMPLES = """Score cached maps against the drive's truth: one table a drive, one row a prior.
@@ -199,6 +199,7 @@ def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments) -> 
     """Score the priors of one drive; one that cannot be scored is left out. DataError where none can."""
     with busy("opening the drive"):
         drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
+    select(drive.ids, args.frames)  # frames that no prior can have are told once
     scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive_name)
     for name in names:
         try:

@@ -19,6 +19,7 @@ from priors.report.frames import frames_wipe
 from priors.report.page import SUFFIX, Page
 from priors.report.sample import Sample
 from priors.report.scores import DriveScores, scores_page, within
+from priors.selection import select
 
 EXAMPLES = """Write one page of cached maps: tables, pictures to compare by a slider, errors by distance and confidence.
 The file holds all that it shows: it opens from a disk, without a network.
@@ -100,6 +101,7 @@ def score_caches(args: ReportArguments) -> tuple[list[DriveScores], bool]:
 def _score_drive(priors: list[Prior], drive_name: str, args: ReportArguments) -> DriveScores:
     """Score and picture the priors of one drive; those that cannot be scored are pictured all the same."""
     drive = reopen_drive(priors, args.truth, args.data)
+    select(drive.ids, args.frames)  # frames that no prior can have are told once
     scored = DriveScores([], priors=dict(zip(labels(priors), priors, strict=True)), name=drive_name)
     for name in scored.priors:
         try:

@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.selection import held_out
 from priors.types import Drive
 
@@ -23,12 +23,12 @@ def training_views(count: int, chosen: Sequence[int], hold_out: str) -> list[int
         hold_out: start:stop:step as Python counts, over `chosen` (9::10: every 10th from the 10th on, as `nerf fit`
             holds out), a single position, or none.
 
-    Raises DataError for any other text, and where no frame is left.
+    Raises UsageError for any other text, and where no frame is left.
     """
     out = held_out(chosen, hold_out)
     training = [index for index in chosen if index not in out]
     if not training:
-        raise DataError(f"--mono.hold-out {hold_out} leaves no frame of {count} to adapt on: hold out fewer")
+        raise UsageError(f"--mono.hold-out {hold_out} leaves no frame of {count} to adapt on: hold out fewer")
     return training
 
 

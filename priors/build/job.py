@@ -7,10 +7,14 @@ from functools import cached_property
 from typing import Any
 
 from priors import cache
+from priors.build.decided import ENTRY
 from priors.build.plan import Judge, Plan, make_plan
 from priors.build.work import CLAIMS, Work, tidy
 from priors.cache import Prior
+from priors.cache.learned import ENTRY as ENTRY_LEARNED
+from priors.cache.learned import Freshness, WatchedDrive, keep
 from priors.cache.places import follow
+from priors.cache.sources import Digests
 from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
@@ -49,7 +53,8 @@ class Job:
     @cached_property
     def judge(self) -> Judge:
         """Tells of a frame whether it must be computed."""
-        return Judge(self.prior, (*self.method.reads, *self.filters.reads), self.distrust)
+        freshness = Freshness(self.prior.folder, self.drive, Digests())
+        return Judge(self.prior, (*self.method.reads, *self.filters.reads), self.distrust, freshness)
 
     def plan(self, selection: Selection = ALL) -> Plan:
         """Choose the frames to compute; frames that are cached, still or lack an input are skipped with the reason.
@@ -84,6 +89,7 @@ class Job:
             if self.prior.ids() and self._manifest_is_old():
                 cache.create(self.prior.folder, self.prior.manifest)
                 follow(self.prior)
+            self._note_decided()
             tidy(self.prior.folder / CLAIMS)
             return BuildReport(self.prior, plan, failed=dict(plan.failed))
         for note in self.method.notes():
@@ -96,11 +102,20 @@ class Job:
 
     def _work(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
-        make_depth = self.method.prepare(self.drive, self.prior.folder.parent / "weights", on_note)
+        watched = WatchedDrive(self.drive)
+        make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
+        learned = keep(self.prior.folder, watched.sources(self.judge.freshness.digests))
         cache.create(self.prior.folder, self.prior.manifest)
         follow(self.prior)
         self.prior.drop_stale()
-        return Work(self.drive, self.prior, self.judge, lambda frame: self.filters(make_depth(frame), frame), on_frame)
+        return Work(
+            self.drive,
+            self.prior,
+            self.judge,
+            lambda frame: self.filters(make_depth(frame), frame),
+            on_frame,
+            {} if learned is None else {ENTRY_LEARNED: learned},
+        )
 
     def _restamp(self, plan: Plan) -> None:
         """Note the times of files that were copied, so that the next plan need not read them."""
@@ -108,6 +123,13 @@ class Job:
         with suppress(OSError):  # a cache that cannot be written: they are read each time
             for frame_id, sources in plan.restamped.items():
                 self.prior.journal.append({**lines[frame_id], "made_of": sources})
+
+    def _note_decided(self) -> None:
+        """Keep what was measured in a manifest that lacks it; one of an earlier format stays as it is."""
+        with suppress(DataError, OSError):  # a cache that cannot be written: it is measured each time
+            there, own = cache.load(self.prior.folder).manifest, self.prior.manifest
+            if ENTRY in own and there.get(ENTRY) != own[ENTRY] and there["format"] == own["format"]:
+                cache.create(self.prior.folder, {**there, ENTRY: own[ENTRY]})
 
     def _manifest_is_old(self) -> bool:
         """Tell whether the manifest must be written though no map is made: the drive has moved, or it is damaged."""

@@ -3,7 +3,8 @@
 from dataclasses import dataclass, field
 
 from priors.cache import Prior
-from priors.cache.sources import Digests, Sources, restamped, why_stale
+from priors.cache.learned import Freshness
+from priors.cache.sources import Sources, restamped
 from priors.errors import DataError
 from priors.selection import MotionGate, Selection, select, shard
 from priors.types import Drive, Frame, Input
@@ -67,7 +68,7 @@ class Judge:
     """What a frame must have to be computed."""
     distrust: bool
     """Whether maps count only after they were read: the folder's manifest was damaged or missing."""
-    digests: Digests = field(default_factory=Digests)
+    freshness: Freshness
 
     def __call__(self, frame: Frame) -> Verdict:
         """Judge a frame by what the journal and the file system say now."""
@@ -75,9 +76,10 @@ class Judge:
         stale = None
         if damaged is None:
             record = self.prior.journal.entry(frame.id).record or {}
-            stale = why_stale(record.get("made_of"), frame, self.digests)
+            sources = record.get("made_of")
+            stale = self.freshness.why_stale(sources, frame)
             if stale is None:
-                return Verdict(skip=CACHED, restamped=restamped(record.get("made_of"), frame))
+                return Verdict(skip=CACHED, restamped=restamped(sources, frame))
         lacking = [what for what in self.reads if not frame.has(what)]
         if lacking and damaged is None:
             return Verdict(skip=CACHED)  # what it was made of is gone, and nothing better can be made

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from priors import cache, keys
+from priors.build.decided import ENTRY, decide
 from priors.build.job import Job
 from priors.cache import Prior
 from priors.cache.manifest import NewerFormatError
@@ -31,9 +32,12 @@ def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder
     filters = filters or Filters()
     _check_names(drive)
     frame = _first_readable(drive)
-    method = method.resolve(frame)
-    manifest = _manifest(drive, frame, method, filters)
     home = folder / drive.name
+    fingerprint = drive.fingerprint()
+    method, decided = decide(method, frame, home, fingerprint)
+    manifest = _manifest(drive, frame, method, filters) | {"fingerprint": fingerprint}
+    if decided is not None:
+        manifest[ENTRY] = decided
     earlier = keys.find(home, manifest, type(method))
     if earlier is not None:
         return Job(drive, method, filters, Prior(earlier.folder, {**manifest, "key": earlier.manifest["key"]}))
@@ -53,7 +57,6 @@ def _manifest(drive: Drive, frame: Frame, method: Method, filters: Filters) -> d
         "filters": filters.record(),
         "sky": SKY_VERSION,
         "weights": method.weights_digest(),
-        "fingerprint": drive.fingerprint(),
         "maps": _maps_digest(frame, {*method.reads, *filters.reads}),
         "camera": {"K": frame.camera.K.tolist(), "size": list(frame.camera.size), "baseline_m": frame.baseline_m},
         "encoding": "kitti",

@@ -14,7 +14,7 @@ from typing import Any
 
 from priors.build.plan import CACHED, Judge
 from priors.cache import Prior
-from priors.cache.sources import watch
+from priors.cache.sources import Sources, watch
 from priors.errors import DataError
 from priors.owner import claim
 from priors.types import Depth, Drive, Frame
@@ -35,6 +35,8 @@ class Work:
     """The method, and the filters after it."""
     on_frame: Callable[[str], None]
     """Told the id of each frame when it is done or has failed."""
+    learned: Sources = field(default_factory=dict)
+    """What the method learned from the whole drive, for the record of each map."""
     built: list[dict[str, Any]] = field(default_factory=list)
     """The new lines of frames.jsonl."""
     failed: dict[str, str] = field(default_factory=dict)
@@ -85,7 +87,7 @@ class Work:
         start = time.perf_counter()
         depth = self.make_depth(watched.frame)
         seconds = time.perf_counter() - start
-        sources = watched.sources(self.judge.digests)
+        sources = watched.sources(self.judge.freshness.digests) | self.learned
         self.built.append(self.prior.write(frame.id, depth, seconds, sources))
 
 

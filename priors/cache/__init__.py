@@ -5,6 +5,7 @@
                                 /confidence/<id>.png    uint16, confidence x 65535 (8 bits are read too)
                                 /consistency/<id>.png   the same: a second confidence, where somebody made one
                                 /frames.jsonl           one line a computed frame (journal.py, sources.py)
+                                /learned/<name>.json    what was read of other frames before the first map (learned.py)
                                 /claims/<id>            who computes it just now (priors/owner)
 
 The key (priors/keys.py) is a hash of everything that decides what the maps hold, so a changed parameter is another

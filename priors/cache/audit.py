@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from eval.files import STALE_S
+from priors.cache.learned import Freshness
 from priors.cache.prior import CONFIDENCES, Prior
-from priors.cache.sources import Digests, why_stale
+from priors.cache.sources import Digests
 from priors.errors import DataError
 from priors.types import Drive
 
@@ -54,12 +55,12 @@ def audit(prior: Prior, drive: Drive | None, on_frame: Callable[[str], None] = l
 
 
 def _stale(prior: Prior, drive: Drive) -> Iterator[tuple[str, str]]:
-    digests, lines = Digests(), prior.lines()
+    freshness, lines = Freshness(prior.folder, drive, Digests()), prior.lines()
     for index, frame_id in enumerate(drive.ids):
         if frame_id not in lines or not prior.depth_path(frame_id).exists():
             continue
         try:
-            if reason := why_stale(lines[frame_id].get("made_of"), drive[index], digests):
+            if reason := freshness.why_stale(lines[frame_id].get("made_of"), drive[index]):
                 yield frame_id, reason
         except DataError as error:
             yield frame_id, str(error)

@@ -4,6 +4,7 @@ A watched frame notes each call of its readers, and each reader that was asked f
 
     "image": {"file": "0000000005.png", "bytes": 801234, "modified_ns": 1321012345000000000, "sha256": "9f86d0..."}
     "sweep -5": null                                    the sweep five frames before: the drive has no such file
+    "sweep.times": {...}                                another file that all calls of "sweep" read
     "other": null                                       the frame has no reader of that name
 
 A map is stale when one of these calls now means a file of another content, or is answered where it was not. Names are
@@ -25,6 +26,8 @@ Sources = dict[str, dict[str, Any] | None]
 """Call -> the file that it read, as the journal keeps it; None where there was none."""
 Stamp = tuple[int, int]
 """Size in bytes, and time of the last change in ns."""
+Call = tuple[Path | None, Stamp | None]
+"""The file of a call, and the file's stamp before it was read."""
 
 
 class Digests:
@@ -58,18 +61,17 @@ class Watch:
 
     frame: Frame
     """To be computed with in place of the one that was given."""
-    calls: dict[str, tuple[Path | None, Stamp | None]] = field(default_factory=dict)
-    """Call -> its file and the file's stamp before it was read."""
+    calls: dict[str, Call] = field(default_factory=dict)
 
     def sources(self, digests: Digests) -> Sources:
         """Return what was read so far, as the journal keeps it."""
-        return {call: _record(path, stamp, digests) for call, (path, stamp) in self.calls.items()}
+        return record_calls(self.calls, digests)
 
 
 class _Readers(Mapping[str, Callable[..., Any]]):
     """A frame's readers that note their calls."""
 
-    def __init__(self, frame: Frame, calls: dict[str, tuple[Path | None, Stamp | None]]) -> None:
+    def __init__(self, frame: Frame, calls: dict[str, Call]) -> None:
         self.frame, self.calls = frame, calls
 
     def __getitem__(self, what: str) -> Callable[..., Any]:
@@ -88,16 +90,27 @@ class _Readers(Mapping[str, Callable[..., Any]]):
         return False
 
     def _read(self, what: str, reader: Callable[..., Any], *args: Any) -> Any:
-        call = " ".join([what, *map(str, args)])
+        self._note(" ".join([what, *map(str, args)]), what, *args)
+        for beside in self.frame.files:
+            if beside.startswith(f"{what}."):
+                self._note(beside, beside)
+        return reader(*args)
+
+    def _note(self, call: str, what: str, *args: Any) -> None:
+        """Note which file a call reads, as it is before that."""
         if call not in self.calls and what in self.frame.files:
             path = self.frame.files[what](*args)
             self.calls[call] = path, None if path is None else stamp_of(path)
-        return reader(*args)
 
 
-def watch(frame: Frame) -> Watch:
-    """Return a frame that is as the given one, and what notes what is read of it."""
-    calls: dict[str, tuple[Path | None, Stamp | None]] = {}
+def record_calls(calls: Mapping[str, Call], digests: Digests) -> Sources:
+    """Return calls as the journal keeps them."""
+    return {call: _record(path, stamp, digests) for call, (path, stamp) in dict(calls).items()}
+
+
+def watch(frame: Frame, calls: dict[str, Call] | None = None) -> Watch:
+    """Return a frame that is as the given one, and what notes what is read of it, to `calls` where they are given."""
+    calls = {} if calls is None else calls
     return Watch(replace(frame, readers=_Readers(frame, calls)), calls)
 
 

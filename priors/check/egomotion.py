@@ -6,19 +6,20 @@ matrix, whose translation has a direction and no length.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.egomotion.corners import track
+from priors.egomotion.motion import agree, motion_of
 from priors.types import Camera, FloatMap, Image, Matrix
 
 Floats = npt.NDArray[np.float64]
 
 CORNERS, APART_PX, QUALITY = 600, 6, 0.005
-WINDOW_PX, LEVELS, BACK_PX = 21, 4, 0.5
-"""Of the tracker: window, pyramid, and how near a corner must come back to where it started."""
+BACK_PX = 0.5
+"""How near a corner must come back to where it started: motions are told apart here, not measured."""
 FEWEST, SHARE = 20, 0.4
 """Corners that must agree on a motion, and their share of those with depth."""
 FLAT_FEWEST, FLAT_SHARE, FLAT_FLOW_PX = 50, 0.6, 2.0
@@ -63,41 +64,25 @@ def see_motion(this: Image, following: Image, camera: Camera, depths: Mapping[st
 
 
 def _follow(this: Image, following: Image) -> tuple[Floats, Floats]:
-    """Follow corners by the Lucas-Kanade tracker, there and back; returns both places (n, 2), px."""
+    """Follow corners from one image to the next; returns both places (n, 2), px."""
     corners = cv2.goodFeaturesToTrack(this, CORNERS, QUALITY, APART_PX)
-    if corners is None:
-        return np.zeros((0, 2)), np.zeros((0, 2))
-    options: dict[str, Any] = {"winSize": (WINDOW_PX, WINDOW_PX), "maxLevel": LEVELS}
-    from_px = np.asarray(corners, dtype=np.float32)
-    to_px, found, _ = cv2.calcOpticalFlowPyrLK(this, following, from_px, from_px.copy(), **options)
-    back_px, again, _ = cv2.calcOpticalFlowPyrLK(following, this, np.asarray(to_px), from_px.copy(), **options)
-    start, end, back = (np.asarray(places, dtype=np.float64).reshape(-1, 2) for places in (from_px, to_px, back_px))
-    sure = (found.ravel() == 1) & (again.ravel() == 1) & (np.linalg.norm(start - back, axis=1) < BACK_PX)
-    height, width = this.shape
-    sure &= ((end >= 0) & (end <= [width - 1, height - 1])).all(axis=1)
-    return start[sure], end[sure]
+    start_px = np.zeros((0, 2)) if corners is None else np.asarray(corners, dtype=np.float64).reshape(-1, 2)
+    end_px, sure = track(this, following, start_px, start_px, BACK_PX)
+    return start_px[sure], end_px[sure]
 
 
 def _by_depth(start_px: Floats, end_px: Floats, camera: Camera, depth_m: FloatMap) -> Matrix | None:
     """Return T_next_this by PnP (RANSAC, then least squares) of the corners that have depth; None where few agree."""
     z = _depth_at(start_px, depth_m)
     known = (z > NEAREST_M) & (z < FARTHEST_M)
-    if np.count_nonzero(known) < FEWEST:
-        return None
     rays = np.column_stack([start_px[known], np.ones(np.count_nonzero(known))]) @ np.linalg.inv(camera.K).T
     xyz_m, uv_px = rays * z[known, None], np.ascontiguousarray(end_px[known])
-    try:
-        done, turn, shift, agreeing = cv2.solvePnPRansac(
-            xyz_m, uv_px, camera.K, None, iterationsCount=300, reprojectionError=LOOSE_PX, flags=cv2.SOLVEPNP_EPNP
-        )
-    except cv2.error:  # points that lie in one line, or all at one place
+    found = agree(xyz_m, uv_px, camera, (FEWEST, SHARE), cv2.SOLVEPNP_EPNP)
+    if found is None:
         return None
-    if not done or agreeing is None or len(agreeing) < max(FEWEST, SHARE * len(xyz_m)):
-        return None
-    inside = agreeing.ravel()
-    turn, shift = cv2.solvePnPRefineLM(xyz_m[inside], uv_px[inside], camera.K, None, turn, shift)
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
+    on = found.inside
+    turn, shift = cv2.solvePnPRefineLM(xyz_m[on], uv_px[on], camera.K, None, found.turn, found.shift)
+    T = motion_of(np.asarray(turn, np.float64), np.asarray(shift, np.float64))
     return T if np.isfinite(T).all() else None
 
 

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Literal
 from priors import codecs
 from priors.drives._files import check_baseline, check_size, digest, read_sized
 from priors.drives._links import plain
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.types import Camera, Depth, Frame, Matrix, Rig
 
 Readers = dict[str, Callable[..., Any]]
@@ -151,10 +151,10 @@ class CameraDrive(ABC):
         return Depth(check_size(codecs.read_float_map(path), path, self.camera))
 
     def paired_camera(self) -> str:
-        """Return the pair's other camera, for data sets whose cameras all have one; else DataError names them."""
+        """Return the pair's other camera, for data sets whose cameras all have one; else UsageError names them."""
         if self.partner is None:
             names = ", ".join(name for pair in self.pairs for name in pair)
-            raise DataError(f"{self.folder}: no camera {self.camera_name!r}: choose one of {names}")
+            raise UsageError(f"{self.folder}: no camera {self.camera_name!r}: choose one of {names}")
         return self.partner
 
     def baseline(self, partner_right_m: float, calibration: Path) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors import codecs
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.frame_ids import in_order
 from priors.text import read_lines, read_text
 from priors.types import Camera, Image, Matrix
@@ -158,18 +158,19 @@ def choose(folders: list[Path], drive: str | None, path: Path, what: str) -> Pat
     """Return the only drive among the folders that `path` holds, or the one that --drive names.
 
     Raises:
-        DataError: there is none, or more than one; `what` says in words what a drive's folder holds.
+        UsageError: --drive names none of them, or there is more than one to choose from.
+        DataError: there is none; `what` says in words what a drive's folder holds.
     """
     named = [folder for folder in folders if drive is None or folder.name == drive]
     some = ", ".join(folder.name for folder in folders[:5]) + (", ..." if len(folders) > 5 else "")
     if not named and folders:
-        raise DataError(f"{path}: no drive {drive!r} in it: found {some}")
+        raise UsageError(f"{path}: no drive {drive!r} in it: found {some}")
     if not named:
         raise DataError(f"{path}: {what} not found in it")
     if len(named) > 1 and drive is not None:
         raise DataError(f"{path}: holds {len(named)} drives named {drive}: name the folder itself, e.g. {named[0]}")
     if len(named) > 1:
-        raise DataError(f"{path}: holds {len(named)} drives: choose with --drive {named[0].name} (found {some})")
+        raise UsageError(f"{path}: holds {len(named)} drives: choose with --drive {named[0].name} (found {some})")
     return named[0]
 
 

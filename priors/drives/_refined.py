@@ -1,12 +1,12 @@
 """A drive with refined poses: all else is the drive's own."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
 
+from priors.drive_around import DriveAround
 from priors.drives._files import revise
 from priors.errors import DataError
 from priors.geometry import invert
@@ -14,21 +14,12 @@ from priors.refined_poses import RefinedPoses
 from priors.types import Drive, Frame, Matrix, Sweep
 
 
-class RefinedDrive:
+class RefinedDrive(DriveAround):
     """Frames and sweeps of a drive, placed by refined poses; frames that these lack have no pose."""
 
     def __init__(self, drive: Drive, poses: RefinedPoses) -> None:
-        self.drive, self.poses = drive, poses
-
-    @property
-    def name(self) -> str:
-        """The drive's."""
-        return self.drive.name
-
-    @property
-    def ids(self) -> Sequence[str]:
-        """The drive's."""
-        return self.drive.ids
+        super().__init__(drive)
+        self.poses = poses
 
     def describe(self) -> dict[str, Any]:
         """Return what reopens the drive and these poses."""
@@ -42,9 +33,6 @@ class RefinedDrive:
         """List the frame ids that each kind of file has, where the drive tells them."""
         scans = getattr(self.drive, "scans", dict)
         return dict(scans())
-
-    def __len__(self) -> int:
-        return len(self.drive)
 
     def __getitem__(self, index: int) -> Frame:
         frame, T_world_cam = self.drive[index], self.poses.T_world_cam.get(self.ids[index])

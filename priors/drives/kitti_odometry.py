@@ -133,8 +133,12 @@ class KittiOdometry(CameraDrive):
         return readers
 
     def files(self, id_: str) -> Files:
-        """Return which file each reader reads: also sweeps."""
-        return super().files(id_) | {"sweep": lambda offset=0: self._sweep_file(int(id_) + offset)}
+        """Return which file each reader reads: also sweeps, and the times that tell where their path breaks."""
+        files: Files = {
+            "sweep": lambda offset=0: self._sweep_file(int(id_) + offset),
+            "sweep.times": lambda: self._times_file if self._times_file.is_file() else None,
+        }
+        return super().files(id_) | files
 
     def T_world_cam(self, id_: str) -> Matrix | None:
         """Return the pose of this camera, which stands beside camera 0."""
@@ -234,10 +238,14 @@ class KittiOdometry(CameraDrive):
             )
         return parse_pose(lines[number].text, f"{self._pose_file}: line {lines[number].number}")
 
+    @property
+    def _times_file(self) -> Path:
+        return self.folder / "times.txt"
+
     @cached_property
     def _times(self) -> dict[int, float]:
         """Seconds since the first frame, by frame number; empty without times.txt."""
-        path = self.folder / "times.txt"
+        path = self._times_file
         if not path.is_file():
             return {}
         try:

@@ -64,8 +64,17 @@ def _expect(xyz_m: Floats, start_px: Floats, camera: Camera, T_other_this: Matri
     return np.where(inside[:, None], uv_px, start_px)
 
 
-def track(this: Image, other: Image, start_px: Floats, expected_px: Floats) -> tuple[Floats, Mask]:
+def track(
+    this: Image, other: Image, start_px: Floats, expected_px: Floats, back_px: float = BACK_PX
+) -> tuple[Floats, Mask]:
     """Find places (n, 2), px, of one grey image in another, near where they are expected (n, 2).
+
+    Args:
+        this: the image that the places are of.
+        other: where they are looked for.
+        start_px: the places.
+        expected_px: where the search begins.
+        back_px: how near a place must come back to where it started.
 
     Returns:
         the places in the other image (n, 2), px, and which of them are sure (n,): found there and back again.
@@ -82,9 +91,9 @@ def track(this: Image, other: Image, start_px: Floats, expected_px: Floats) -> t
     start, expected = (np.ascontiguousarray(places, dtype=np.float32)[:, None] for places in (start_px, expected_px))
     found_px, found, _ = cv2.calcOpticalFlowPyrLK(this, other, start, expected.copy(), **options)
     towards = np.asarray(found_px) + start - expected
-    back_px, again, _ = cv2.calcOpticalFlowPyrLK(other, this, np.asarray(found_px), towards, **options)
+    returned_px, again, _ = cv2.calcOpticalFlowPyrLK(other, this, np.asarray(found_px), towards, **options)
     end_px = np.asarray(found_px, dtype=np.float64).reshape(-1, 2)
     sure = (found.ravel() == 1) & (again.ravel() == 1)
-    sure &= np.linalg.norm(start_px - np.asarray(back_px, dtype=np.float64).reshape(-1, 2), axis=1) < BACK_PX
+    sure &= np.linalg.norm(start_px - np.asarray(returned_px, dtype=np.float64).reshape(-1, 2), axis=1) < back_px
     height, width = other.shape
     return end_px, sure & ((end_px >= 0) & (end_px <= [width - 1, height - 1])).all(axis=1)

@@ -37,6 +37,17 @@ class SeenMotion(NamedTuple):
     """(6, 6) of what is multiplied to it from the right: shift, metres, then turn, radians."""
 
 
+class Agreed(NamedTuple):
+    """A motion on which points agree, as OpenCV gives it."""
+
+    turn: Floats
+    """By Rodrigues."""
+    shift: Floats
+    """Metres."""
+    inside: npt.NDArray[np.int64]
+    """The positions of the points that agree."""
+
+
 def see(corners: Corners) -> SeenMotion | None:
     """Return the motion that corners of this frame, followed into the other, show; None where too few agree on one."""
     T_other_this = _first_guess(corners, corners.camera)
@@ -66,17 +77,36 @@ def exp(step: Floats) -> Matrix:
 
 def _first_guess(corners: Corners, camera: Camera) -> Matrix | None:
     """Return T_other_this on which most corners agree; None where few do."""
-    if len(corners.xyz_m) < FEWEST:
+    found = agree(corners.xyz_m, corners.end_px, camera, (FEWEST, SHARE), cv2.SOLVEPNP_ITERATIVE)
+    return None if found is None else motion_of(found.turn, found.shift)
+
+
+def agree(xyz_m: Floats, uv_px: Floats, camera: Camera, least: tuple[int, float], solver: int) -> Agreed | None:
+    """Return the motion on which most points agree; None where they are too few.
+
+    Args:
+        xyz_m: points (n, 3).
+        uv_px: where they are seen (n, 2).
+        camera: that sees them.
+        least: points that must agree, and their share of all.
+        solver: of the points that agree, one of OpenCV's SOLVEPNP.
+    """
+    if len(xyz_m) < least[0]:
         return None
-    uv_px = np.ascontiguousarray(corners.end_px)
+    uv_px = np.ascontiguousarray(uv_px)
     try:
         done, turn, shift, agreeing = cv2.solvePnPRansac(
-            corners.xyz_m, uv_px, camera.K, None, iterationsCount=TRIALS, reprojectionError=LOOSE_PX
+            xyz_m, uv_px, camera.K, None, iterationsCount=TRIALS, reprojectionError=LOOSE_PX, flags=solver
         )
     except cv2.error:  # points that lie in one line, or all at one place
         return None
-    if not done or agreeing is None or len(agreeing) < max(FEWEST, SHARE * len(uv_px)):
+    if not done or agreeing is None or len(agreeing) < max(least[0], least[1] * len(uv_px)):
         return None
+    return Agreed(np.asarray(turn, np.float64), np.asarray(shift, np.float64), agreeing.ravel().astype(np.int64))
+
+
+def motion_of(turn: Floats, shift: Floats) -> Matrix:
+    """Return the motion (4, 4) of a turn by Rodrigues and a shift, metres, as OpenCV gives them."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = cv2.Rodrigues(turn)[0], shift.ravel()
     return T

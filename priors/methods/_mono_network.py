@@ -10,6 +10,8 @@ import torch
 from torch import nn
 
 from priors.adapt.finetune import AdaptConfig, fine_tune
+from priors.cache.learned import WatchedDrive, why_learned_stale
+from priors.cache.sources import Digests
 from priors.errors import DataError
 from priors.keys import key_of
 from priors.methods._mono_estimator import Prediction
@@ -26,6 +28,8 @@ if TYPE_CHECKING:  # onnxruntime's half is loaded where it is asked for
 
 POLL_S = 0.3
 """How often to look whether another build has adapted the weights."""
+MADE_OF = "made_of"
+"""Entry of the adapted weights' header: the files that they learned from, by frame (priors/cache/learned.py)."""
 VERSION = 1
 """Of how adapting works: part of the adapted weights' key."""
 
@@ -67,15 +71,32 @@ def adapted_weights(
     }
     path = folder / f"mono-{key_of(decides)}.safetensors"
     with _in_hand(path, on_note):
-        if path.is_file():
-            on_note(f"mono: weights adapted before: {path}")
+        if _are_as_before(path, drive, on_note):
             return path
         adapted = _adapt(planned, network, config, on_note)
         if not all(bool(torch.isfinite(p).all()) for p in adapted.parameters()):
             raise DataError("mono: adapting diverged: choose --mono.adapt none, or other frames")
         adapting = {name: value for name, value in decides.items() if name != "known"}
-        weights.write(path, adapted, {"net": network.model, "size": network.size, "adapted": adapting})
+        about = {"net": network.model, "size": network.size, "adapted": adapting}
+        if isinstance(drive, WatchedDrive):
+            about[MADE_OF] = drive.sources(Digests())
+        weights.write(path, adapted, about)
     return path
+
+
+def _are_as_before(path: Path, drive: Drive, on_note: Callable[[str], None]) -> bool:
+    """Tell whether there are adapted weights, of files that hold the same today; a watched drive is told of them."""
+    if not path.is_file():
+        return False
+    read = weights.read_about(path).get(MADE_OF)
+    reason = why_learned_stale(read, drive.drive if isinstance(drive, WatchedDrive) else drive, Digests())
+    if reason is not None:
+        on_note(f"mono: adapting again: {reason}")
+        return False
+    if isinstance(drive, WatchedDrive) and isinstance(read, dict):
+        drive.learned_before(read)
+    on_note(f"mono: weights adapted before: {path}")
+    return True
 
 
 @contextmanager

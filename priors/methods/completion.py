@@ -1,10 +1,11 @@
 """Dense depth from sparse LiDAR and one image: without learning, or corrected by a network."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal, Self
 
-from priors.errors import DataError, expect, expect_between, expect_choices
+from priors.errors import DataError, UsageError, expect, expect_between, expect_choices
 from priors.machine import threads
 from priors.methods._completion_classical import EVERYWHERE_PX, clean_map, inverse_limits, list_samples, near_samples
 from priors.methods._completion_classical import complete as complete
@@ -46,7 +47,7 @@ class Completion(Method):
         expect(0 <= self.guidance < float("inf"), "--completion.guidance", self.guidance, "0 or more")
         expect_between(0, self.reach_px, FARTHEST_PX, "--completion.reach-px")
         if self.model == "classical" and self.weights is not None:
-            raise DataError(f"--completion.weights {self.weights}: of a network: ask for it by --completion.model")
+            raise UsageError(f"--completion.weights {self.weights}: of a network: ask for it by --completion.model")
 
     @property
     def reads(self) -> tuple[Input, ...]:
@@ -57,6 +58,11 @@ class Completion(Method):
     def network(self) -> Network | None:
         """Return the network that corrects the map; None for the classical method."""
         return None if self.model == "classical" else Network(self.model, self.size, self.runtime, self.weights)
+
+    def unread(self) -> Mapping[str, str]:
+        """Return the fields that these settings leave without effect: those of a network, and the lidar method's."""
+        unread = {} if self.network else dict.fromkeys(("size", "runtime"), "--completion.model mffnet")
+        return unread | ({"lidar": "--completion.source lidar"} if self.source == "velodyne_raw" else {})
 
     @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:

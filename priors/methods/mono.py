@@ -1,11 +1,11 @@
 """Depth from one image: our network, adapted to the drive if asked, or a user's own; aligned to known depth."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal, Self
 
-from priors.errors import DataError, expect, expect_choices
+from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.machine import threads
 from priors.methods._mono_align import Aligner, Space
 from priors.methods._mono_estimator import Estimator, Predict, Prediction, by_drive, by_frame
@@ -59,7 +59,7 @@ class Mono(Method):
         parse_range(self.frames, "--mono.frames")
         parse_hold_out(self.hold_out)
         if self._foreign is not None and self.adapt != "none":
-            raise DataError(
+            raise UsageError(
                 f"--mono.adapt {self.adapt}: only our own network can adapt, {self.weights} cannot: align it"
             )
 
@@ -84,6 +84,20 @@ class Mono(Method):
         if self.align == "none" or self.align_per == "drive" or self.align_to == "auto":
             return ("image",)
         return ("image", *READS[self.align_to])
+
+    def unread(self) -> Mapping[str, str]:
+        """Return the fields that these settings leave without effect: of adapting, aligning, and our own network."""
+        unread: dict[str, str] = {}
+        if self._foreign is not None:
+            unread |= dict.fromkeys(("size", "runtime"), "our own network (weights that are no .onnx)")
+        if self.adapt == "none":
+            unread["adapt_s"] = "--mono.adapt lidar, stereo or video"
+        if self.align == "none":
+            unread |= dict.fromkeys(("align_to", "align_in", "align_per"), "--mono.align scale or scale-shift")
+        if not self._needs_drive:
+            how = "--mono.adapt, or by --mono.align with one line for the drive"
+            unread |= dict.fromkeys(("hold_out", "frames"), how)
+        return unread
 
     @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
@@ -129,7 +143,7 @@ class Mono(Method):
             return self
         from priors.adapt.training_frames import training_views
 
-        indices = training_views(len(drive), select(drive.ids, self.frames), self.hold_out)
+        indices = training_views(len(drive), select(drive.ids, self.frames, "--mono.frames"), self.hold_out)
         network = self.network
         if self.adapt != "none":
             network = self._adapt(self.adapt, drive, indices, folder, on_note)

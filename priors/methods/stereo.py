@@ -1,5 +1,6 @@
 """Depth from a stereo pair: classical semi-global matching, or a network; with a confidence that is a probability."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal, Self
@@ -7,7 +8,7 @@ from typing import ClassVar, Literal, Self
 import numpy as np
 
 from priors.codecs import FARTHEST_M
-from priors.errors import DataError, expect, expect_between, expect_choices
+from priors.errors import UsageError, expect, expect_between, expect_choices
 from priors.machine import threads
 from priors.methods import _stereo_classical as classical
 from priors.methods._network import Network
@@ -55,7 +56,7 @@ class Stereo(Method):
         expect_choices(self, "stereo.")
         expect_between(1, self.max_disparity_px, LARGEST_DISPARITY_PX, "--stereo.max-disparity-px")
         if self.model == "classical" and self.weights is not None:
-            raise DataError(f"--stereo.weights {self.weights}: which network is it of? Name it by --stereo.model")
+            raise UsageError(f"--stereo.weights {self.weights}: which network is it of? Name it by --stereo.model")
         given = self.offset_px or ()
         expect(len(given) <= 4, "--stereo.offset-px", _words(given), "at most 4 numbers: shift, tilt, yaw, pitch")
         expect(bool(np.isfinite(given).all()), "--stereo.offset-px", _words(given), "finite numbers")
@@ -73,11 +74,23 @@ class Stereo(Method):
         """Return the network that matches; None for the classical method."""
         return None if self.model == "classical" else Network(self.model, self.size, self.runtime, self.weights)
 
+    def unread(self) -> Mapping[str, str]:
+        """Return the fields that these settings leave without effect: those of a network, of an ONNX file its size."""
+        if self.model == "classical":
+            return dict.fromkeys(("size", "runtime"), "--stereo.model cfnet or pcwnet")
+        own = self.weights is not None and self.weights.suffix == ".onnx"
+        return {"size": "weights that are no .onnx"} if own else {}
+
     @property
     def rectification(self) -> RectificationError:
         """Return what the matched disparities are corrected by."""
         shift, tilt, yaw, pitch = (*(self.offset_px or ()), *NONE.offset_px)[:4]
         return RectificationError(shift, tilt, yaw, pitch, NONE.scale if self.scale is None else self.scale)
+
+    @property
+    def measures(self) -> bool:
+        """Tell that the rectification is measured; with a network, this machine also picks the runtime."""
+        return self.network is None and self.offset_px is None
 
     @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:

@@ -24,7 +24,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from eval.files import write_bytes
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.nets.graphs import FORMS, open_session, write_down
 from priors.nets.graphs import to_onnx as one_image_to_onnx
 from priors.nets.onnx_volume import portable
@@ -160,7 +160,7 @@ def _parse_size(text: str) -> tuple[int, int]:
     """Return width and height of WIDTHxHEIGHT."""
     sides = text.split("x")
     if len(sides) != 2 or not all(side.isdigit() and int(side) for side in sides):
-        raise DataError(f"--image-size {text}: expected WIDTHxHEIGHT in pixels, for example 1242x375")
+        raise UsageError(f"--image-size {text}: expected WIDTHxHEIGHT in pixels, for example 1242x375")
     return int(sides[0]), int(sides[1])
 
 

@@ -37,7 +37,8 @@ def free_port(host: str, port: int | None) -> int:
     """Return the port to listen on: the given one, else the first free one from PORT on.
 
     Raises:
-        DataError: the given one is taken or may not be used, no port is free, or the host is not this machine.
+        DataError: the given one is taken or may not be used, or no port is free.
+        UsageError: the host is not this machine.
     """
     if port is not None:
         if (refusal := _refusal(host, port)) is not None:
@@ -56,7 +57,7 @@ def _refusal(host: str, port: int) -> str | None:
             _bound(host), port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
         )[0]
     except (OSError, UnicodeError) as error:
-        raise DataError(f"--host {host}: no such host: leave it out, or name this machine's address") from error
+        raise UsageError(f"--host {host}: no such host: leave it out, or name this machine's address") from error
     with socket.socket(family, kind, protocol) as tried:
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -66,7 +67,7 @@ def _refusal(host: str, port: int) -> str | None:
             return "ports below 1024 need rights that this user lacks"
         except OSError as error:
             if error.errno in _NOT_OURS:
-                raise DataError(f"--host {host}: not an address of this machine: leave it out") from error
+                raise UsageError(f"--host {host}: not an address of this machine: leave it out") from error
             return "in use by another program"
     return None
 
