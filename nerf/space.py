@@ -38,6 +38,9 @@ KNEE_M = {"cube": 64.0, "box": 64.0, "ball": 32.0, "spheres": 32.0}
 """Camera-z depth up to which spacing is linear, at most: steps follow what a camera sees near it, not the path."""
 DETAILED_M = 200.0
 """Length of an axis that has as many cells as a field's config says; a longer one has more, so that they stay small."""
+AIR_M = 3.0
+"""Length over which a cell's density must be thin before the cell counts as empty, metres. Where a cell's own width
+decided, half of the space near the cameras was taken for empty before colours alone had learned anything there."""
 SHORT_M, STRAIGHT = 1.0, 0.02
 """A path with less spread than this, metres, has no direction; axes with a sine below this are taken as parallel."""
 
@@ -78,6 +81,8 @@ class Space:
     """Camera-z depth up to which spacing is linear, at most; None, in earlier runs: the middle one of half_m."""
     detail: float = 1.0
     """How many times as many cells an axis of the field's finest level has as the model's config says."""
+    air_m: float = 0.0
+    """Cells are taken to be at least so wide where their density says whether they are empty; 0 in earlier runs."""
 
     @classmethod
     def along(cls, T_world_cam: Poses, kind: Kind) -> "Space":
@@ -101,6 +106,7 @@ class Space:
             (_triple(axes[0]), _triple(axes[1]), _triple(axes[2])),
             KNEE_M[kind],
             max(1.0, side_m / DETAILED_M),
+            AIR_M,
         )
 
     @property
@@ -121,7 +127,7 @@ class Space:
     @property
     def extent(self) -> Extent:
         """How large it is."""
-        return Extent(self.code, float(np.prod(self.half_m) ** (1 / 3)), self.farthest)
+        return Extent(self.code, float(np.prod(self.half_m) ** (1 / 3)), self.farthest, self.air_m)
 
     @property
     def farthest(self) -> float:

@@ -164,7 +164,7 @@ class Target(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """How large a space is: what nerf.twin.space, `stretch`, needs."""
+    """How large a space and its cells are: what nerf.twin.space, `stretch`, and nerf.twin.occupancy need."""
 
     kind: int
     """BOX, BALL, SPHERES or CUBE."""
@@ -172,6 +172,8 @@ class Extent(NamedTuple):
     """Geometric mean of the half extents, metres."""
     farthest: float
     """|place| beyond which places are pulled back."""
+    air_m: float = 0.0
+    """An occupancy grid's cell is as thick as so much of its density, metres, where it is smaller than that."""
 
 
 class Spacing(NamedTuple):

@@ -33,18 +33,19 @@ def _stretch(x, y, z, table, kind, inner, outer, nearest):  # type: ignore[no-un
 
 @compiled(error_model="numpy")
 def note(thickness, u, table, sigma, resolution, extent, decay):  # type: ignore[no-untyped-def]
-    """Note densities (m,) at u (3, m) in flat cells; extent: kind, metres of u inside and outside, 1 / farthest place.
+    """Note densities (m,) at u (3, m) in flat cells; extent: see nerf.kernels.cpu.sample, _extent.
 
     Decayed values are read before any is written: a cell with many samples decays once.
     """
-    kind, inner, outer, nearest = extent
+    kind, inner, outer, nearest, air = extent
     count = sigma.size
     where, found, decayed = np.empty(count, np.int64), np.empty(count, np.float32), np.empty(count, np.float32)
     size = np.float32(resolution)
     for i in range(count):
         x, y, z = u[0, i], u[1, i], u[2, i]
         where[i] = cell(x, y, z, np.int64(table[i]), resolution)
-        found[i] = sigma[i] * _stretch(x, y, z, table[i], kind, inner, outer, nearest) / size
+        thick = sigma[i] * _stretch(x, y, z, table[i], kind, inner, outer, nearest) / size
+        found[i] = max(thick, sigma[i] * air)
         decayed[i] = thickness[where[i]] * decay
     for i in range(count):
         thickness[where[i]] = decayed[i]
@@ -55,7 +56,7 @@ def note(thickness, u, table, sigma, resolution, extent, decay):  # type: ignore
 @compiled(error_model="numpy")
 def stretch(u, table, extent, out, first, last):  # type: ignore[no-untyped-def]
     """Fill out (n,) with the metres that one unit of u (3, n) spans."""
-    kind, inner, outer, nearest = extent
+    kind, inner, outer, nearest, _ = extent
     for i in range(first, last):
         out[i] = _stretch(u[0, i], u[1, i], u[2, i], table[i], kind, inner, outer, nearest)
 
