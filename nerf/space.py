@@ -26,15 +26,13 @@ Triple: TypeAlias = tuple[float, float, float]
 Poses = npt.NDArray[np.floating[Any]]
 
 CODES: dict[str, int] = {"box": BOX, "ball": BALL, "spheres": SPHERES, "cube": CUBE}
-NEAR_M = 0.5
-"""Camera-z depth where samples begin, metres."""
-FAR_M = {"cube": 250.0, "box": 250.0, "ball": 1000.0, "spheres": 1000.0}
-"""Camera-z depth where they end, metres; what is farther is as good as sky."""
-AROUND_PATH_M = {"cube": 64.0, "box": 64.0, "ball": 16.0, "spheres": 16.0}
-"""How far around the path the inner region reaches, metres. With 16 in the cube, colours alone lost 1.0 dB."""
+NEAR_M, FAR_M = 0.5, 250.0
+"""Camera-z depths where samples begin and end, metres; what is farther is as good as sky."""
+AROUND_PATH_M = 16.0
+"""How far around the path the inner region reaches, metres."""
 MOST_STRETCH = 3.0
 """The inner region's half extents: this many times the smallest, at most."""
-KNEE_M = {"cube": 64.0, "box": 64.0, "ball": 32.0, "spheres": 32.0}
+KNEE_M = 16.0
 """Camera-z depth up to which spacing is linear, at most: steps follow what a camera sees near it, not the path."""
 DETAILED_M = 200.0
 """Length of an axis that has as many cells as a field's config says; a longer one has more, so that they stay small."""
@@ -94,7 +92,7 @@ class Space:
         axes = _axes(T_world_cam)
         path = T_world_cam[:, :3, 3] @ axes.T
         low, high = path.min(axis=0), path.max(axis=0)
-        half = (high - low) / 2 + AROUND_PATH_M[kind]
+        half = (high - low) / 2 + AROUND_PATH_M
         half = np.maximum(half, half.max() / MOST_STRETCH)
         side_m = float(half.max()) * (2 if kind == "box" else 4)
         return cls(
@@ -102,9 +100,9 @@ class Space:
             _triple(((low + high) / 2) @ axes),
             _triple(half),
             NEAR_M,
-            FAR_M[kind],
+            FAR_M,
             (_triple(axes[0]), _triple(axes[1]), _triple(axes[2])),
-            KNEE_M[kind],
+            KNEE_M,
             max(1.0, side_m / DETAILED_M),
             AIR_M,
         )
