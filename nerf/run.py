@@ -278,9 +278,8 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     path = folder / CONFIG
     _refuse_taken(folder)
     before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
-    if _comparable(before) == _comparable(earlier(config)):
-        config = replace(config, fit=earlier(config.fit))  # it was begun by an earlier version, and goes on as it was
-    elif _comparable(before) != _comparable(config):
+    config = earlier(config, before)  # what an earlier version began goes on as it was
+    if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
         forget(folder)

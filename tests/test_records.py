@@ -190,5 +190,22 @@ def test_a_record_from_before_a_field_is_read_as_it_was() -> None:
     assert restore(Around, {"grown": {"old": 2}}) == Around(Grown(2, 0.0))
     assert restore(Around, record(Around())) == Around(Grown(1, 0.5))
     assert upgrade(Grown, {"old": 2})["fresh"] == 0.0
-    assert earlier(Around()) == Around(Grown(1, 0.0))
-    assert earlier(Around(Grown(fresh=0.7))) == Around(Grown(fresh=0.7)), "what was asked for stays"
+
+
+def test_a_config_goes_on_as_an_earlier_version_began_it() -> None:
+    begun = Around(Grown(2, 0.0))
+    assert earlier(Around(), begun) == Around(Grown(1, 0.0))
+    assert earlier(Around(), Around()) == Around(), "begun by this version"
+    assert earlier(Around(), Around(Grown(fresh=0.3))) == Around(), "no version did that by default"
+    assert earlier(Around(Grown(fresh=0.7)), begun) == Around(Grown(fresh=0.7)), "what was asked for stays"
+
+
+def test_versions_that_had_a_part_of_todays_defaults_go_on() -> None:
+    @dataclass(frozen=True)
+    class Twice:
+        first: int = 1
+        second: int = 2
+        BEFORE: ClassVar[Mapping[str, Any]] = {"first": 10, "second": 20}
+
+    for begun in (Twice(), Twice(1, 20), Twice(10, 20)):
+        assert earlier(Twice(), begun) == begun
