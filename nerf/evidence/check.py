@@ -120,11 +120,11 @@ class _Check:
         factors[frames] = along(frames, told, scale or lidar or 1.0)
         found = replace(found, scale=float(np.median(factors[frames])))
         found = replace(found, spread=(float(factors[frames].min()), float(factors[frames].max())))
-        trust = self._votes(frames, near, factors)
-        aligned = Corrected(self.scene.depth_m, trust, factors)  # type: ignore[arg-type]
+        trust: Trust | None = self._votes(frames, near, factors)
+        aligned = self._corrected(trust, factors)
         dropped = self._dropped(aligned, frames)
         if dropped <= USUAL:
-            trust, dropped, aligned = None, 0.0, Corrected(self.scene.depth_m, None, factors)  # type: ignore[arg-type]
+            trust, dropped, aligned = None, 0.0, self._corrected(None, factors)
         after = wrong_share(_joined(self._look(position, near[position], aligned[position]) for position in some))
         judged = _judged(replace(found, dropped=dropped), after, wrong_share(together))
         return Kept(judged, trust, factors.tolist())
@@ -209,6 +209,11 @@ class _Check:
             trust = self.rounds.write(counted(trust), last=number == ROUNDS - 1)
         assert trust is not None
         return trust
+
+    def _corrected(self, trust: Trust | None, factors: Floats) -> Corrected:
+        """Return the prior as a fit would see it."""
+        assert self.scene.depth_m is not None and not isinstance(self.scene.depth_m, Corrected)
+        return Corrected(self.scene.depth_m, trust, factors)
 
     def _dropped(self, aligned: Corrected, frames: list[int]) -> float:
         """Return the share of the values, by their weights, that is left out."""

@@ -6,6 +6,8 @@ from typing import Any
 
 APART = 1.1
 """Scales by the images and by the LiDAR that differ by more than this are worth a line."""
+NOTABLE = 1.03
+"""Factors up to this are worth no line."""
 MUCH_SKY = 0.1
 """Share of the sky from which on a prior's surfaces in it are worth a line."""
 
@@ -54,7 +56,8 @@ class Finding:
         if not self.patches:
             witness = "" if self.lidar is None else "; its scale is the LiDAR's"
             lines.append(f"{prior} could not be checked: the images overlap or move too little{witness}")
-        if self.scale != 1 or self.spread != (1.0, 1.0):
+        low, high = self.spread
+        if max(high, 1 / low) > NOTABLE:
             lines.append(self._scaled(prior))
         if self.patches and self.lidar is not None and not 1 / APART < self.lidar / self.scale < APART:
             lines.append(
@@ -76,11 +79,8 @@ class Finding:
     def _scaled(self, prior: str) -> str:
         """Say what its depths were multiplied by."""
         low, high = self.spread
-        size = "too near" if self.scale > 1 else "too far"
-        if low < 1 < high:
-            size = "of another scale from frame to frame"
-        frames = "" if high < 1.05 * low else f", {low:.2f} to {high:.2f} from frame to frame"
-        return (
-            f"{prior} is {size}: its depths are multiplied by {self.scale:.2f}{frames}"
-            " (the scale is another one: of its units, or of the poses; --align none keeps them)"
-        )
+        size, times = "too near" if self.scale > 1 else "too far", f"{self.scale:.2f}"
+        if low < self.scale / NOTABLE or self.scale * NOTABLE < high:
+            size, times = "of a scale that drifts", f"{low:.2f} to {high:.2f}"
+        cause = "the scale is another one: of its units, or of the poses; --align none keeps them"
+        return f"{prior} is {size}: its depths are multiplied by {times} ({cause})"

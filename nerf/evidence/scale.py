@@ -46,6 +46,8 @@ def look(shots: list[Shot], depth_m: Floats, seed: int) -> Floats:
     chosen = np.random.default_rng(seed).permutation(pixels)[:PATCHES]
     row, column = np.divmod(chosen, depth_m.shape[1])
     these = Pixels(row, column, depth_m.ravel()[chosen].astype(np.float64))
+    if len(shots) == 1:
+        return np.zeros((0, len(FACTORS)), np.float32)
     seen = [np.nan_to_num(likeness(shots[0], these, other, FACTORS), nan=0.0) for other in shots[1:]]
     return np.clip(np.max(seen, axis=0, initial=0.0), 0, 1)
 

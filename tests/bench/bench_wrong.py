@@ -1,0 +1,107 @@
+"""What a wrong prior costs a field: python tests/bench/bench_wrong.py DATA PRIOR [--field mip360] [--wrong "x 2"]
+
+A right prior's maps are made wrong in several ways, and a fit takes them as they are (none) or after the check (auto).
+PSNR and AbsRel are means over the held-out views, against the drive's truth or else its LiDAR. One thread; the same
+seed gives the same figures.
+"""
+
+import argparse
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from nerf import fields
+from nerf.config import Align, FitConfig, ModelConfig
+from nerf.evidence.check import check
+from nerf.fit import fit
+from nerf.prepare import SceneConfig, open_scene
+from nerf.scene import Scene
+from nerf.truths import Truths
+from priors import cache
+from priors.drives import open_drive
+from priors.machine import threads
+
+Floats = npt.NDArray[np.float32]
+SHARE, BLOB_PX, DRIFT, FARTHEST_M = 0.3, 20, 0.2, 80.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("data", type=Path)
+    parser.add_argument("prior", type=Path)
+    parser.add_argument("--field", nargs="*", default=[name for name in fields.names() if fields.is_trained(name)])
+    parser.add_argument("--steps", type=int, default=400)
+    parser.add_argument("--wrong", nargs="*", choices=list(WRONG), default=list(WRONG))
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder, threads.limited(1), threads.quiet():
+        drive = open_drive(args.data)
+        scene = open_scene(drive, cache.only(args.prior), SceneConfig("sparse"), Path(folder) / "scenes")
+        truths = Truths(drive, [scene.ids[position] for position in scene.test])
+        alone = replace(scene, depth_m=None, weight=None, sky=None)
+        print("| field | prior | align | PSNR dB | AbsRel |\n|---|---|---|---:|---:|")
+        for family in args.field:
+            row(alone, truths, (family, "colours alone", "none"), args.steps)
+            for kind in args.wrong:
+                wrong = replace(scene, depth_m=WRONG[kind](np.stack([scene.depth_m[n] for n in range(len(scene.ids))])))
+                for align in ("none", "auto", "learn") if kind == "drift" else ("none", "auto"):
+                    row(wrong, truths, (family, kind, align), args.steps)
+
+
+def row(scene: Scene, truths: Truths, case: tuple[str, str, Align], steps: int) -> None:
+    """Fit one case (field, prior, align) and print its row."""
+    family, _, align = case
+    if align != "none":
+        scene = check(scene).scene
+    config = FitConfig(ModelConfig(family), steps=steps, seconds=None, align=align)
+    with tempfile.TemporaryDirectory() as folder:
+        model = fit(scene, config, Path(folder))
+    psnr, abs_rel = [], []
+    for position in scene.test:
+        view, truth = model.render(scene.T_world_cam[position], scene.camera), truths(scene.ids[position])
+        psnr.append(-10 * np.log10(np.mean((view.rgb.clip(0, 1) - scene.images[position] / 255) ** 2)))
+        if truth is not None:
+            known = (truth.depth_m > 0) & (truth.depth_m < FARTHEST_M)
+            off = np.abs(view.depth_m[known].clip(1e-3, FARTHEST_M) - truth.depth_m[known])
+            abs_rel.append(np.mean(off / truth.depth_m[known]))
+    print(f"| {' | '.join(case)} | {np.mean(psnr):.2f} | {np.mean(abs_rel):.4f} |", flush=True)
+
+
+def at_random(depth_m: Floats, factor: float) -> Floats:
+    """Make SHARE of the values wrong, each by itself."""
+    wrong = np.random.default_rng(0).random(depth_m.shape) < SHARE
+    return np.where(wrong, np.float32(factor) * depth_m, depth_m)
+
+
+def in_blobs(depth_m: Floats, factor: float) -> Floats:
+    """Make SHARE of the values of each frame wrong, in squares of BLOB_PX."""
+    random, wrong = np.random.default_rng(0), np.zeros(depth_m.shape, bool)
+    for frame in wrong:
+        while frame.mean() < SHARE:
+            row, column = (int(random.integers(1 - BLOB_PX, size)) for size in frame.shape)
+            frame[max(row, 0) : row + BLOB_PX, max(column, 0) : column + BLOB_PX] = True
+    return np.where(wrong, np.float32(factor) * depth_m, depth_m)
+
+
+def drifting(depth_m: Floats) -> Floats:
+    """Let the scale go up and down by DRIFT along the frames."""
+    along = 1 + DRIFT * np.sin(2 * np.pi * np.arange(len(depth_m)) / len(depth_m))
+    return depth_m * along[:, None, None].astype(np.float32)
+
+
+WRONG: dict[str, Callable[[Floats], Floats]] = {
+    "right": lambda depth_m: depth_m,
+    "x 0.5": lambda depth_m: np.float32(0.5) * depth_m,
+    "x 2": lambda depth_m: np.float32(2) * depth_m,
+    "30 % x 10": lambda depth_m: at_random(depth_m, 10),
+    "30 % x 10, blobs": lambda depth_m: in_blobs(depth_m, 10),
+    "30 % x 0.1": lambda depth_m: at_random(depth_m, 0.1),
+    "30 % x 0.1, blobs": lambda depth_m: in_blobs(depth_m, 0.1),
+    "drift": drifting,
+}
+
+if __name__ == "__main__":
+    main()
