@@ -21,25 +21,25 @@ from eval.lpips import Lpips
 from nerf import cameras, checkpoint, fields, journal, origin
 from nerf.config import FitConfig
 from nerf.fit import OnStep, fit
+from nerf.guide import Guide, open_guide, place_of
 from nerf.model import Model, ShowsScene
 from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
+from nerf.rate import Rate
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
-from nerf.split import split
+from nerf.split import SPARSE_STEP, in_name, split
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
-from priors import cache
-from priors.cache import Prior
 from priors.drives import poses_remark, reopen
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.machine import threads
 from priors.machine.device import pick_device
 from priors.owner.claim import Claim, hold, owner_of
-from priors.records import earlier, restore
+from priors.records import Record, earlier, restore
 from priors.selection import select
 from priors.types import Drive
 
@@ -70,24 +70,33 @@ class RunConfig:
     """What the prior passes before it is used."""
     fit: FitConfig
     """Everything else."""
+    sparse_step: int | None = None
+    """Of the frames that are not held out, every so many-th is a sparse view; None: every 4th, as earlier versions
+    had it, or other views."""
 
     @classmethod
-    def of(cls, drive: Drive, prior: Prior | None, scene: SceneConfig, fit: FitConfig) -> "RunConfig":
+    def of(cls, drive: Drive, prior: Guide | None, scene: SceneConfig, fit: FitConfig) -> "RunConfig":
         """Describe a run of an open drive and an open prior."""
-        where = None if prior is None else str(prior.folder.resolve())
-        return cls(drive.describe(), where, scene.frames, scene.views, scene.filters, fit)
+        where = None if prior is None else place_of(prior)
+        positions = select(drive.ids, scene.frames)
+        step = Rate.of(drive, positions).sparse_step if scene.views == "sparse" else None
+        return cls(drive.describe(), where, scene.frames, scene.views, scene.filters, fit, step)
 
     @property
     def title(self) -> str:
         """What the run is, as its usual folder's name ends: <field>-<views>, and <loss>-<prior> where it has them."""
         loss = [self.fit.losses.loss] if fields.is_trained(self.fit.model.family) else []
         guide = [] if self.prior is None else [*loss, Path(self.prior).name]
-        return "-".join([self.fit.model.family, self.views, *guide])
+        return "-".join([self.fit.model.family, in_name(self.views), *guide])
 
     @property
     def scene(self) -> SceneConfig:
         """What the run's scene has."""
-        return SceneConfig(self.views, self.frames, self.filters)
+        return SceneConfig(self.views, self.frames, self.filters, self.sparse_step or SPARSE_STEP)
+
+    def parts(self, count: int) -> tuple[list[int], list[int]]:
+        """Part so many frames into training and held-out positions."""
+        return split(count, self.views, self.sparse_step)
 
 
 @dataclass(frozen=True)
@@ -114,7 +123,7 @@ class Run:
     @cached_property
     def scene(self) -> Scene:
         """The run's scene; what was prepared already is used again."""
-        prior = None if self.config.prior is None else cache.only(Path(self.config.prior))
+        prior = None if self.config.prior is None else open_guide(self.config.prior)
         with threads.limited(None):
             home = self.folder.parent / SCENES
             before = checkpoint.origin_of(self.folder)
@@ -217,7 +226,7 @@ class Run:
 
 def begin(
     drive: Drive,
-    prior: Prior | None = None,
+    prior: Guide | None = None,
     scene: SceneConfig | None = None,
     fit: FitConfig | None = None,
     folder: Path | None = None,
@@ -231,7 +240,7 @@ def begin(
 
     Args:
         drive: its frames are learned.
-        prior: its depth guides the fit; None: colours alone.
+        prior: its depth guides the fit: a cache's, or TRUTH (nerf.guide), the drive's own; None: colours alone.
         scene: which frames, and what the prior passes.
         fit: everything that decides the outcome.
         folder: the run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>.
@@ -241,7 +250,7 @@ def begin(
         DataError: the folder holds a run with other settings.
     """
     config = RunConfig.of(drive, prior, scene or SceneConfig(), fit or FitConfig())
-    split(len(select(drive.ids, config.frames)), config.views)  # what cannot be is told before a folder is made
+    config.parts(len(select(drive.ids, config.frames)))  # what cannot be is told before a folder is made
     if folder is None:
         folder = Path("runs") / f"{drive.name}-{config.title}"
     return replace(claim(folder, config), progress=progress, source=drive)
@@ -258,15 +267,21 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     """
     path = folder / CONFIG
     _refuse_taken(folder)
-    before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
-    if _comparable(before) == _comparable(earlier(config)):
-        config = replace(config, fit=earlier(config.fit))  # it was begun by an earlier version, and goes on as it was
-    elif _comparable(before) != _comparable(config):
+    before = config
+    if (folder / checkpoint.NAME).exists():
+        before, config = open_run(folder).config, _as_begun(config, _record(path))
+    if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
         forget(folder)
     _write(folder, config)
     return Run(folder, config)
+
+
+def _as_begun(config: RunConfig, record: Record) -> RunConfig:
+    """Return what the version that began a run made of the same wishes: it goes on as it was."""
+    step = config.sparse_step if "sparse_step" in record else None
+    return replace(earlier(config, record), sparse_step=step)
 
 
 def forget(folder: Path) -> None:
@@ -301,16 +316,21 @@ def open_run(folder: Path) -> Run:
     """
     path = folder / CONFIG
     try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        if record.pop("format") != FORMAT:
-            raise DataError(f"{path}: a run of another format: train again")
-        return Run(folder, restore(RunConfig, record))
+        return Run(folder, restore(RunConfig, _record(path)))
     except FileNotFoundError as error:
         raise DataError(
             f"{path}: no such file: not a run's folder (`nerf fit DATA --run {folder}` makes one)"
         ) from error
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path}: damaged ({error}): train again") from error
+
+
+def _record(path: Path) -> Record:
+    """Read a config.json as it is."""
+    record: Record = json.loads(path.read_text(encoding="utf-8"))
+    if record.pop("format") != FORMAT:
+        raise DataError(f"{path}: a run of another format: train again")
+    return record
 
 
 def moved(run: Run, data: Path) -> Run:

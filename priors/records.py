@@ -46,14 +46,18 @@ def before(kind: type[Any]) -> Mapping[str, Any]:
     return getattr(kind, "BEFORE", {})
 
 
-def earlier(config: Config) -> Config:
-    """Return what an earlier version made of the same wishes: fields that it lacked, and that are at their default."""
+def earlier(config: Config, old: Record) -> Config:
+    """Return what the version that wrote a record made of the same wishes.
+
+    Fields that the record lacks, and that are at their default, have the value that was in effect then.
+    """
     changes: Record = {}
+    found = _renamed(type(config), old)
     for field in fields(config):  # type: ignore[arg-type]
         value = getattr(config, field.name)
         if is_dataclass(value):
-            changes[field.name] = earlier(value)
-        elif field.name in before(type(config)) and value == field.default:
+            changes[field.name] = earlier(value, found.get(field.name) or {})
+        elif field.name in before(type(config)) and field.name not in found and value == field.default:
             changes[field.name] = before(type(config))[field.name]
     return replace(config, **changes)  # type: ignore[type-var]
 

@@ -15,11 +15,15 @@ from nerf.checkpoint import Spent
 from nerf.config import FitConfig, ModelConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
+from nerf.rate import Rate
 from nerf.run import Run, RunConfig, begin
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
+from nerf.split import SPARSE_STEP
 from priors.errors import UsageError, expect
 from priors.filters import Filters
+from priors.selection import select
+from priors.types import Drive
 
 EXAMPLES = """Train a field on a drive and score its held-out views (every 10th frame). Runs resume where they stopped.
 
@@ -45,9 +49,10 @@ class FitArguments(ThreadArguments, DriveArguments):
 
     prior: Path | None = None
     """A prior's folder in the cache, or a folder that holds several: the one that suits best is taken, and said.
-    auto: cache/. Default: colours alone."""
+    auto: cache/. truth: the drive's own true depth, but of held-out frames. Default: colours alone."""
     views: str = "dense"
-    """Training views: dense (all that are not held out), sparse (every 4th of them) or a number."""
+    """Training views: dense (all that are not held out), sparse (2.5 Hz: every 4th of them where the drive has 10),
+    a share (1/8: every 8th) or a number."""
     frames: str | None = None
     """Range of frames, a:b."""
     time: str = "60s"
@@ -109,7 +114,7 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
 def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     err.print(f"run: {this_run.folder}")
     scene, before = this_run.scene, checkpoint.spent(this_run.folder)
-    _tell(scene, this_run.config, before)
+    _tell(scene, this_run, before)
     with fit_progress("training") as on_step:
         this_run.fit(args.device, on_step)
     if fields.is_trained(args.field) and before.step == checkpoint.spent(this_run.folder).step:
@@ -122,16 +127,25 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     return 0
 
 
-def _tell(scene: Scene, config: RunConfig, before: Spent) -> None:
+def _tell(scene: Scene, run: Run, before: Spent) -> None:
     """Say what is about to be trained: on what, by what, for how long."""
+    drive, config = run.drive, run.config
     height, width = scene.camera.size
     views = f"{len(scene.train)} of {len(scene.ids)} frames train, {len(scene.test)} are held out"
-    err.print(f"views: {scene.name}, {width}x{height}: {views}")
+    err.print(f"views: {scene.name}, {width}x{height}: {views}{_pace(drive, config)}")
     if scene.origin_m != origin.NONE:
         err.print(f"origin: {origin.told(scene.origin_m)} m is taken off, and put back on what is written")
     err.print(f"field: {config.fit.model.family}, {_guide(config)}; {_budget(config.fit, before)}")
     if len(scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
+
+
+def _pace(drive: Drive, config: RunConfig) -> str:
+    """Say what sparse views are here; nothing of others."""
+    if config.views != "sparse":
+        return ""
+    rate = Rate.of(drive, select(drive.ids, config.frames))
+    return f" (sparse: step {config.sparse_step or SPARSE_STEP} at {rate})"
 
 
 def _guide(config: RunConfig) -> str:

@@ -8,15 +8,17 @@ from typing import Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, find_priors, parse
+from cli.arguments import Device, DriveArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName, seconds
+from cli.nerf.sources import named_priors
 from eval import typeset
 from nerf import study_table
 from nerf.config import FitConfig
+from nerf.guide import TRUTH, TrueMaps
 from nerf.losses import LossConfig
-from nerf.split import check_views, split
+from nerf.split import check_views, held_out, split
 from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, run_study
 from priors.errors import LARGEST_SEED, expect_between
 from priors.filters import Filters
@@ -38,11 +40,11 @@ class StudyArguments(ThreadArguments, DriveArguments):
     """Arguments of `nerf study`."""
 
     priors: tuple[Path, ...] = (Path(NONE),)
-    """Priors' folders, folders that hold several, and none: colours alone."""
+    """Priors' folders, folders that hold several, truth: the drive's own maps, and none: colours alone."""
     loss: tuple[Literal["mse", "l1", "kl", "urf"], ...] = ("mse",)
     """Depth losses."""
     views: tuple[str, ...] = ("dense", "sparse")
-    """Training views: dense, sparse or numbers."""
+    """Training views: dense, sparse, shares (1/8: every 8th) or numbers."""
     field: tuple[FieldName, ...] = ("ngp",)
     """Families of fields."""
     clip: tuple[float, ...] = ()
@@ -89,12 +91,9 @@ class StudyArguments(ThreadArguments, DriveArguments):
 
     def grid(self) -> Study:
         """Return the grid that was asked for."""
-        folders = [
-            [NONE] if str(path) == NONE else [str(prior.folder) for prior in find_priors(path)] for path in self.priors
-        ]
         masks = {"no": (False,), "yes": (True,), "both": (False, True)}[self.truth_mask]
         return Study(
-            priors=tuple(name for several in folders for name in several),
+            priors=named_priors(self.priors),
             losses=self.loss,
             views=self.views,
             fields=self.field,
@@ -119,9 +118,12 @@ def run(arguments: list[str]) -> int:
 
 def _make(args: StudyArguments, command: str) -> int:
     drive, grid = args.open(["nerf", "study"]), args.grid()
-    count = len(select(drive.ids, args.frames))
+    positions = select(drive.ids, args.frames)
     for views in args.views:  # what no run can have is told before the first
-        split(count, views)
+        split(len(positions), views)
+    if TRUTH.name in grid.priors:
+        ids = [drive.ids[position] for position in positions]
+        TrueMaps(drive).stamps(ids, [ids[position] for position in held_out(len(ids))])
 
     def command_of(spec: RunSpec, folder: Path) -> str:
         return _command(args, spec, folder)
