@@ -44,6 +44,8 @@ from priors.selection import select
 from priors.types import Drive
 
 FORMAT = 1
+RUNS = Path("runs")
+"""Where runs are kept unless a folder is named."""
 KEY = re.compile("-[0-9a-f]{10}$")
 """What tells a prior from others of its method, at the end of its folder's name."""
 CONFIG = "config.json"
@@ -252,7 +254,7 @@ def begin(
     config = RunConfig.of(drive, prior, scene or SceneConfig(), fit or FitConfig())
     config.parts(len(select(drive.ids, config.frames)))  # what cannot be is told before a folder is made
     if folder is None:
-        folder = Path("runs") / f"{drive.name}-{config.title}"
+        folder = RUNS / f"{drive.name}-{config.title}"
     return replace(claim(folder, config), progress=progress, source=drive)
 
 

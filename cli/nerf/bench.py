@@ -8,7 +8,7 @@ from typing import Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse
+from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName, seconds
@@ -38,7 +38,7 @@ examples:
 
 
 @dataclass(frozen=True)
-class BenchArguments(ThreadArguments, DriveArguments):
+class BenchArguments(ThreadArguments, SequenceArguments):
     """Arguments of `nerf bench`."""
 
     priors: tuple[Path, ...] = (Path(NONE),)
@@ -72,7 +72,7 @@ class BenchArguments(ThreadArguments, DriveArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.marks(), self.fit()
-        parse_range(self.frames)
+        parse_range(self.frame_range(self.frames))
         for views in self.views:
             check_views(views)
         for seed in self.seed:
@@ -116,7 +116,9 @@ def run(arguments: list[str]) -> int:
 
 def _bench(args: BenchArguments, command: str) -> int:
     drive, entrants = args.open(["nerf", "bench"]), args.entrants()
-    runner = FitRunner(drive, args.fit(), args.frames, args.device, args.lpips.open(), progress, fit_progress)
+    runner = FitRunner(
+        drive, args.fit(), args.frame_range(args.frames), args.device, args.lpips.open(), progress, fit_progress
+    )
     race = Race(runner, args.out, entrants)
     err.print(str(race.warm_up()))
     curves = race.run(_tell)

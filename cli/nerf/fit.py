@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse
+from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import busy, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
@@ -16,7 +16,7 @@ from nerf.config import FitConfig, ModelConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.rate import Rate
-from nerf.run import Run, RunConfig, begin
+from nerf.run import RUNS, Run, RunConfig, begin
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.split import SPARSE_STEP
@@ -44,7 +44,7 @@ else:
 
 
 @dataclass(frozen=True)
-class FitArguments(ThreadArguments, DriveArguments):
+class FitArguments(ThreadArguments, SequenceArguments):
     """Arguments of `nerf fit`."""
 
     prior: Path | None = None
@@ -68,7 +68,7 @@ class FitArguments(ThreadArguments, DriveArguments):
     device: Device = "auto"
     """Where to train and render; auto: a GPU where there is one."""
     run: Path | None = None
-    """The run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>."""
+    """The run's folder; default: runs/<drive or sequence>-<field>-<views>-<loss>-<prior>."""
     losses: tyro.conf.OmitArgPrefixes[LossConfig] = field(default_factory=LossConfig)
     sampler: tyro.conf.OmitArgPrefixes[SamplerConfig] = field(default_factory=SamplerConfig)
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
@@ -82,7 +82,7 @@ class FitArguments(ThreadArguments, DriveArguments):
 
     def scene(self) -> SceneConfig:
         """Return which frames are used, and what of the prior."""
-        return SceneConfig(self.views, self.frames, self.filters)
+        return SceneConfig(self.views, self.frame_range(self.frames), self.filters)
 
     def config(self) -> FitConfig:
         """Return what decides the fit's outcome."""
@@ -106,7 +106,10 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
     with busy("looking at the drive and its priors"):
         drive, prior = open_sources(args, args.prior, typed)
-    this_run = begin(drive, prior, args.scene(), args.config(), args.run, progress)
+    scene, config, folder = args.scene(), args.config(), args.run
+    if folder is None and args.sequence is not None:  # sequences of one drive are told apart
+        folder = RUNS / f"{args.sequence}-{RunConfig.of(drive, prior, scene, config).title}"
+    this_run = begin(drive, prior, scene, config, folder, progress)
     with this_run.held():
         return _fit_and_score(args, this_run)
 

@@ -42,7 +42,7 @@ def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str])
     if str(prior) == TRUTH.name:
         return args.open(typed), TRUTH
     priors = find_priors(CACHE if prior == AUTO else prior)
-    if args.data is not None:
+    if args.names_drive:
         drive = args.open()
         own = [one for one in priors if one.manifest.get("fingerprint") == drive.fingerprint()]
         return drive, _choose(own or priors, drive)

@@ -8,7 +8,7 @@ from typing import Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse
+from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName, seconds
@@ -34,9 +34,11 @@ examples:
   nerf study street/ --priors none cache/DRIVE/completion-KEY --density 0.01 0.05 0.2 1 --time 30s
 """
 
+STUDY = Path("study")
+
 
 @dataclass(frozen=True)
-class StudyArguments(ThreadArguments, DriveArguments):
+class StudyArguments(ThreadArguments, SequenceArguments):
     """Arguments of `nerf study`."""
 
     priors: tuple[Path, ...] = (Path(NONE),)
@@ -68,14 +70,14 @@ class StudyArguments(ThreadArguments, DriveArguments):
     device: Device = "auto"
     """Where to train and render; auto: a GPU where there is one."""
     losses: tyro.conf.OmitArgPrefixes[tyro.conf.Suppress[LossConfig]] = made_by(default_factory=LossConfig)
-    out: Path = Path("study")
-    """The study's folder."""
+    out: Path = STUDY
+    """The study's folder; default with --sequence: study/<sequence>."""
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = made_by(default_factory=LpipsArguments)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.fit()
-        parse_range(self.frames)
+        parse_range(self.frame_range(self.frames))
         for views in self.views:
             check_views(views)
         for seed in self.seed:
@@ -83,6 +85,11 @@ class StudyArguments(ThreadArguments, DriveArguments):
         for name in SHARES:
             for value in vars(self)[name]:
                 Filters(**{name: value})
+
+    @property
+    def folder(self) -> Path:
+        """The study's folder: sequences of one drive lie apart."""
+        return self.out / self.sequence if self.sequence is not None and self.out == STUDY else self.out
 
     def fit(self) -> FitConfig:
         """Return what all fits have in common."""
@@ -118,7 +125,7 @@ def run(arguments: list[str]) -> int:
 
 def _make(args: StudyArguments, command: str) -> int:
     drive, grid = args.open(["nerf", "study"]), args.grid()
-    positions = select(drive.ids, args.frames)
+    positions = select(drive.ids, args.frame_range(args.frames))
     for views in args.views:  # what no run can have is told before the first
         split(len(positions), views)
     if TRUTH.name in grid.priors:
@@ -129,11 +136,13 @@ def _make(args: StudyArguments, command: str) -> int:
         return _command(args, spec, folder)
 
     lpips = args.lpips.open()
-    runner = FitRunner(drive, args.fit(), args.frames, args.device, lpips, progress, fit_progress, command_of)
-    outcomes = run_study(grid, args.out, runner, runner.settings, _tell)
+    runner = FitRunner(
+        drive, args.fit(), args.frame_range(args.frames), args.device, lpips, progress, fit_progress, command_of
+    )
+    outcomes = run_study(grid, args.folder, runner, runner.settings, _tell)
     laid = study_table.lay_out(outcomes)
     out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
-    for path in study_table.save(outcomes, args.out, command):
+    for path in study_table.save(outcomes, args.folder, command):
         out.print(f"wrote {path}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0
 
@@ -147,18 +156,8 @@ def _tell(outcome: Outcome) -> None:
 
 def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     """Write the command that makes one run alone."""
-    data = [] if args.data is None else [str(args.data)]
-    parts = [
-        "nerf",
-        "fit",
-        *data,
-        "--field",
-        spec.field,
-        "--views",
-        spec.views,
-        "--run",
-        str(folder),
-    ]
+    parts = ["nerf", "fit", *args.typed_drive()]
+    parts += ["--field", spec.field, "--views", spec.views, "--run", str(folder)]
     parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
     parts += ["--frames", args.frames] if args.frames else []
     if spec.prior != NONE:
