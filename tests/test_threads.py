@@ -5,6 +5,7 @@ import subprocess
 import sys
 import threading
 import time
+import weakref
 from collections import Counter
 from pathlib import Path
 
@@ -44,6 +45,32 @@ def test_calls_from_several_threads_do_not_mix() -> None:
         for caller in callers:
             caller.join()
     assert all(sorted(tasks) == list(range(200)) for tasks in found.values())
+
+
+def test_a_helper_that_wakes_late_holds_nothing() -> None:
+    """It would free the caller's tensors, and abort the process where that is ending."""
+
+    class Work:
+        def __call__(self, task: int) -> None:
+            pass
+
+    begun, late = threading.Barrier(3, timeout=20), threading.Event()
+
+    def occupy(task: int) -> None:
+        begun.wait()
+        late.wait(20)
+
+    with threads.limited(2):
+        other = threading.Thread(target=threads.run, args=(2, occupy))
+        other.start()
+        begun.wait()  # the only helper is busy from here on
+        work = Work()
+        gone = weakref.ref(work)
+        threads.run(2, work)
+        del work
+        assert gone() is None
+        late.set()
+        other.join()
 
 
 def test_tasks_run_at_the_same_time() -> None:

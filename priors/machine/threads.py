@@ -239,10 +239,16 @@ class _Job:
                 self._over.release()
 
     def wait(self) -> None:
-        """Sleep until the last task is done."""
+        """Sleep until the last task is done; then the caller alone holds what the tasks held.
+
+        A helper may wake only afterwards. If it freed the tasks' tensors as the process ends, the process would abort:
+        PyTorch's destructor waits for the interpreter, which ends such a thread in the midst of it.
+        """
         self._over.acquire()
-        if self._fault is not None:
-            raise self._fault
+        fault, self._fault = self._fault, None
+        del self._work
+        if fault is not None:
+            raise fault
 
 
 def _helpers(wanted: int) -> list["SimpleQueue[_Job]"]:
