@@ -4,6 +4,7 @@ import hashlib
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -12,9 +13,10 @@ from torch import Tensor
 
 from eval.files import write_bytes
 from nerf import fields, origin
-from nerf.config import ModelConfig
-from nerf.model import Model
+from nerf.config import FitConfig, ModelConfig
+from nerf.model import GoesOn, Model
 from nerf.origin import Offset
+from nerf.scene import Scene
 from priors.errors import DataError
 from priors.records import restore
 
@@ -42,6 +44,21 @@ def save(run: Path, model: Model, spent: Spent, origin_m: Offset = origin.NONE) 
     metadata = {"format": FORMAT} | {name: json.dumps(value) for name, value in described.items()}
     whole = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state().items()}
     write_bytes(run / NAME, tensors.save(whole, metadata))
+
+
+def begin(run: Path, scene: Scene, config: FitConfig, device: str) -> Model:
+    """Make the model of a run: of its checkpoint's record where there is one, else a new one.
+
+    Raises:
+        DataError: there is no such family, or the checkpoint is damaged.
+    """
+    family = fields.family(config.model.family)
+    if not (run / NAME).exists() or not isinstance(family, GoesOn):
+        return family.start(scene, config, device)
+    try:
+        return family.go_on(scene, config, _record(_metadata(run)), device)
+    except (ValueError, KeyError, TypeError) as error:
+        raise _damaged(run / NAME, error) from error
 
 
 def resume(run: Path, model: Model) -> Spent:
@@ -82,8 +99,7 @@ def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
     state, metadata = _read(run)
     try:
         config = restore(ModelConfig, json.loads(metadata["config"]))
-        record = {name: json.loads(text) for name, text in metadata.items() if name not in _OURS}
-        return fields.family(config.family).open(config, record, state, str(device))
+        return fields.family(config.family).open(config, _record(metadata), state, str(device))
     except (ValueError, KeyError, TypeError) as error:
         raise _damaged(run / NAME, error) from error
 
@@ -91,6 +107,11 @@ def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
 def digest(run: Path) -> str:
     """Return a hash of the run's checkpoint: tells one field from another."""
     return hashlib.sha256(_path(run).read_bytes()).hexdigest()[:16]
+
+
+def _record(metadata: dict[str, str]) -> dict[str, Any]:
+    """Return the model's own record."""
+    return {name: json.loads(text) for name, text in metadata.items() if name not in _OURS}
 
 
 def _path(run: Path) -> Path:

@@ -8,7 +8,7 @@ from nerf.optimise import OptimiserConfig
 from nerf.sample import SamplerConfig
 from priors.errors import LARGEST_SEED, expect, expect_between
 
-MOST_RAYS, MOST_STEPS = 1 << 20, 10**9
+MOST_RAYS, MOST_STEPS, MOST_CELLS = 1 << 20, 10**9, 1 << 20
 
 
 @dataclass(frozen=True)
@@ -20,14 +20,14 @@ class ModelConfig:
     log2_size: int = 17
     """Rows of the hash grid's levels, as a power of two."""
     finest: int = 2048
-    """Cells along an axis of the finest level."""
+    """Cells along an axis of the finest level; more along a path so long that its cells would be wider than 0.1 m."""
     width: int = 64
     """Neurons of the hidden layers."""
     sampler: SamplerConfig = field(default_factory=SamplerConfig)
 
     def __post_init__(self) -> None:
         expect(4 <= self.log2_size <= 24, "log2_size", self.log2_size, "4 to 24")
-        expect(16 <= self.finest <= 1 << 20, "finest", self.finest, "16 to 2^20 cells")
+        expect(16 <= self.finest <= MOST_CELLS, "finest", self.finest, "16 to 2^20 cells")
         expect(self.width in range(16, 129, 16), "--width", self.width, "16, 32, 48, ..., 128 neurons")
 
 

@@ -10,8 +10,8 @@ from typing import TextIO
 
 from torch import Tensor
 
-from nerf import fields, journal
-from nerf.checkpoint import Spent, resume, save
+from nerf import journal
+from nerf.checkpoint import Spent, begin, resume, save
 from nerf.config import FitConfig
 from nerf.finite import NotFiniteError, bad_terms, cause
 from nerf.keeper import Keeper, LostError
@@ -87,7 +87,7 @@ def fit(
         DataError: there is no such family, or the run's checkpoint is damaged or was made with other settings; the
             loss is not finite any more; or the run is another process's now.
     """
-    model = fields.family(config.model.family).start(scene, config, device)
+    model = begin(run, scene, config, device)
     if not model.parameters():
         save(run, model, Spent(), scene.origin_m)
         return model

@@ -70,6 +70,15 @@ class ShowsScene(Protocol):
         """Take the frames; DataError where they are not those that the model was made of."""
 
 
+@runtime_checkable
+class GoesOn(Protocol):
+    """A family whose models are begun from what a checkpoint recorded, where there is one: as an earlier version made
+    them, if it was made by one."""
+
+    def go_on(self, scene: Scene, config: FitConfig, record: dict[str, Any], device: str) -> Model:
+        """Make a model of a scene that is ready to load a checkpoint with this record, and to train on."""
+
+
 class Family(Protocol):
     """What a file in nerf/fields/ offers as FAMILY.
 

@@ -39,7 +39,7 @@ from priors.filters import Filters
 from priors.machine import threads
 from priors.machine.device import pick_device
 from priors.owner.claim import Claim, hold, owner_of
-from priors.records import Record, earlier, restore
+from priors.records import earlier, restore
 from priors.selection import select
 from priors.types import Drive
 
@@ -269,21 +269,16 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     """
     path = folder / CONFIG
     _refuse_taken(folder)
-    before = config
-    if (folder / checkpoint.NAME).exists():
-        before, config = open_run(folder).config, _as_begun(config, _record(path))
+    before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
+    config = earlier(config, before)  # what an earlier version began goes on as it was
+    if before.sparse_step is None:
+        config = replace(config, sparse_step=None)  # it had every 4th frame
     if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
         forget(folder)
     _write(folder, config)
     return Run(folder, config)
-
-
-def _as_begun(config: RunConfig, record: Record) -> RunConfig:
-    """Return what the version that began a run made of the same wishes: it goes on as it was."""
-    step = config.sparse_step if "sparse_step" in record else None
-    return replace(earlier(config, record), sparse_step=step)
 
 
 def forget(folder: Path) -> None:
@@ -318,21 +313,16 @@ def open_run(folder: Path) -> Run:
     """
     path = folder / CONFIG
     try:
-        return Run(folder, restore(RunConfig, _record(path)))
+        record = json.loads(path.read_text(encoding="utf-8"))
+        if record.pop("format") != FORMAT:
+            raise DataError(f"{path}: a run of another format: train again")
+        return Run(folder, restore(RunConfig, record))
     except FileNotFoundError as error:
         raise DataError(
             f"{path}: no such file: not a run's folder (`nerf fit DATA --run {folder}` makes one)"
         ) from error
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path}: damaged ({error}): train again") from error
-
-
-def _record(path: Path) -> Record:
-    """Read a config.json as it is."""
-    record: Record = json.loads(path.read_text(encoding="utf-8"))
-    if record.pop("format") != FORMAT:
-        raise DataError(f"{path}: a run of another format: train again")
-    return record
 
 
 def moved(run: Run, data: Path) -> Run:

@@ -35,7 +35,7 @@ class SamplerConfig:
 
     count: int = 32
     """Samples of a ray that the prior guides, and of a ray after its proposals."""
-    free: int = 64
+    free: int = 48
     """Candidates of a ray without a prior; those in empty cells are dropped."""
     render: int = 256
     """Candidates of a ray when views are rendered."""
@@ -63,6 +63,7 @@ class SamplerConfig:
     already go rarely, and then count for more; 1: all go."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {
+        "free": 64,
         "terminate": 0.0,
         "roulette_samples": 1.0,
         "carve_sky": False,

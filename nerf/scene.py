@@ -76,22 +76,6 @@ class Scene:
         pixel = 1 / self.camera.fx
         return Rays(_tensor(pose[:, :3, 3]), _tensor(directions), rgb, depth_m, weight, pixel, sky=sky)
 
-    def points_m(self, most: int = 2_000_000) -> npt.NDArray[np.float32]:
-        """Back-project the training frames' prior: up to about `most` points (n, 3) of the scene, evenly thinned."""
-        if self.depth_m is None:
-            return np.zeros((0, 3), np.float32)
-        directions = pixel_rays(self.camera)
-        stride = max(1, round(len(self.train) * directions[..., 0].size / most))
-        clouds = []
-        for position in self.train:
-            thinned = slice(position % stride, None, stride)
-            depth_m = self.depth_m[position].reshape(-1)[thinned]
-            valid = (depth_m > 0) & np.isfinite(depth_m)
-            camera = directions.reshape(-1, 3)[thinned][valid] * depth_m[valid, None]
-            pose = self.T_world_cam[position]
-            clouds.append((camera @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32))
-        return np.concatenate(clouds)
-
 
 def view_rays(camera: Camera, T_world_cam: Matrix) -> Rays:
     """Return the rays of a whole view, row by row; no colour, no prior."""

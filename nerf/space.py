@@ -1,9 +1,11 @@
 """Scene contraction and ray spacing: what the field's grid covers, how depth is spaced. The families differ here.
 
-    box      Instant-NGP: a box; rays end where they leave it
+    cube     Instant-NGP: a box, and everything outside of it contracted into a shell around it
     ball     MipNeRF-360: everything, what is outside the inner ellipsoid contracted into a shell
     spheres  NeRF++: the same, the inside and the outside in a table each; spacing in 1/r outside
+    box      a box and nothing else: runs of earlier versions; rays end where they leave it
 
+The path alone says where the inner region lies and how large it is: a prior fills a space and never moves it.
 Metres end here: `place` is a point in the space's axes divided by its half extents, |place| <= 1 inside.
 """
 
@@ -17,21 +19,28 @@ from torch import Tensor
 
 from nerf.kernels import kernels_for
 from nerf.twin import space as twin
-from nerf.types import BALL, BOX, SPHERES, Extent, Rays, Samples, Spacing
+from nerf.types import BALL, BOX, CUBE, SPHERES, Extent, Rays, Samples, Spacing
 
-Kind: TypeAlias = Literal["box", "ball", "spheres"]
+Kind: TypeAlias = Literal["cube", "ball", "spheres", "box"]
 Triple: TypeAlias = tuple[float, float, float]
-Points = npt.NDArray[np.floating[Any]]
+Poses = npt.NDArray[np.floating[Any]]
 
-CODES: dict[str, int] = {"box": BOX, "ball": BALL, "spheres": SPHERES}
+CODES: dict[str, int] = {"box": BOX, "ball": BALL, "spheres": SPHERES, "cube": CUBE}
 NEAR_M, FAR_M = 0.5, 250.0
-"""Depths in which surfaces are looked for where no prior tells, metres."""
-AROUND_PATH_M = {"box": 64.0, "ball": 16.0, "spheres": 16.0}
-"""How far around the path the region reaches where no prior tells, metres; outside a box is nothing."""
-LEAST_HALF_M, MOST_STRETCH = 4.0, 3.0
-"""The inner region's half extents: at least this, and this many times the smallest, at most."""
-INNER_SHARE = {"box": 0.01, "ball": 0.10, "spheres": 0.10}
-"""Share of the prior's points left out on either side of each axis."""
+"""Camera-z depths where samples begin and end, metres; what is farther is as good as sky."""
+AROUND_PATH_M = 16.0
+"""How far around the path the inner region reaches, metres."""
+MOST_STRETCH = 3.0
+"""The inner region's half extents: this many times the smallest, at most."""
+KNEE_M = 16.0
+"""Camera-z depth up to which spacing is linear, at most: steps follow what a camera sees near it, not the path."""
+DETAILED_M = 200.0
+"""Length of an axis that has as many cells as a field's config says; a longer one has more, so that they stay small."""
+AIR_M = 3.0
+"""Length over which a cell's density must be thin before the cell counts as empty, metres. Where a cell's own width
+decided, half of the space near the cameras was taken for empty before colours alone had learned anything there."""
+SHORT_M, STRAIGHT = 1.0, 0.02
+"""A path with less spread than this, metres, has no direction; axes with a sine below this are taken as parallel."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,40 +75,36 @@ class Space:
     """Camera-z depth where they end."""
     axes: tuple[Triple, Triple, Triple] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
     """The space's axes in the world, one a row, orthonormal."""
+    knee_most_m: float | None = None
+    """Camera-z depth up to which spacing is linear, at most; None, in earlier runs: the middle one of half_m."""
+    detail: float = 1.0
+    """How many times as many cells an axis of the field's finest level has as the model's config says."""
+    air_m: float = 0.0
+    """Cells are taken to be at least so wide where their density says whether they are empty; 0 in earlier runs."""
 
     @classmethod
-    def around(
-        cls,
-        positions_m: Points,
-        points_m: Points,
-        kind: Kind,
-        near_m: float | None = None,
-        far_m: float | None = None,
-    ) -> "Space":
-        """Choose centre, axes and extents for camera positions (f, 3) and the prior's points (n, 3), n may be 0.
+    def along(cls, T_world_cam: Poses, kind: Kind) -> "Space":
+        """Lay a space along the path of cameras (f, 4, 4).
 
-        The first axis follows the path, the last is the one along which the points are spread least: a street is
-        long, narrow and low, and a grid stretched like it resolves all three. Extents hold the path and all but
-        INNER_SHARE of the points on either side; without points, AROUND_PATH_M around the path.
+        The first axis follows the path, another the cameras' down: a street is long, narrow and low, and a grid
+        stretched like it resolves all three. The extents hold the path and AROUND_PATH_M around it.
         """
-        points_m = points_m[np.isfinite(points_m).all(axis=1)]
-        axes = _axes(positions_m, points_m)
-        path, points = positions_m @ axes.T, points_m @ axes.T
-        low, high = path.min(axis=0) - AROUND_PATH_M[kind], path.max(axis=0) + AROUND_PATH_M[kind]
-        if len(points):
-            share = INNER_SHARE[kind]
-            low = np.minimum(np.quantile(points, share, axis=0), path.min(axis=0) - 1)
-            high = np.maximum(np.quantile(points, 1 - share, axis=0), path.max(axis=0) + 1)
-        half = np.maximum((high - low) / 2, LEAST_HALF_M)
+        axes = _axes(T_world_cam)
+        path = T_world_cam[:, :3, 3] @ axes.T
+        low, high = path.min(axis=0), path.max(axis=0)
+        half = (high - low) / 2 + AROUND_PATH_M
         half = np.maximum(half, half.max() / MOST_STRETCH)
-        near, far = _reach(positions_m, points_m)
+        side_m = float(half.max()) * (2 if kind == "box" else 4)
         return cls(
             kind,
             _triple(((low + high) / 2) @ axes),
             _triple(half),
-            near if near_m is None else near_m,
-            far if far_m is None else far_m,
+            NEAR_M,
+            FAR_M,
             (_triple(axes[0]), _triple(axes[1]), _triple(axes[2])),
+            KNEE_M,
+            max(1.0, side_m / DETAILED_M),
+            AIR_M,
         )
 
     @property
@@ -114,13 +119,13 @@ class Space:
 
     @property
     def knee_m(self) -> float:
-        """Depth up to which spacing is linear, box and ball: the middle one of the half extents."""
-        return sorted(self.half_m)[1]
+        """Depth up to which spacing is linear: the middle one of the half extents, or less where they are large."""
+        return self._bent(sorted(self.half_m)[1])
 
     @property
     def extent(self) -> Extent:
         """How large it is."""
-        return Extent(self.code, float(np.prod(self.half_m) ** (1 / 3)), self.farthest)
+        return Extent(self.code, float(np.prod(self.half_m) ** (1 / 3)), self.farthest, self.air_m)
 
     @property
     def farthest(self) -> float:
@@ -163,10 +168,15 @@ class Space:
         near, far = torch.full_like(origins[:, 0], self.near_m), torch.full_like(origins[:, 0], self.far_m)
         knee = torch.full_like(near, self.knee_m)
         if self.kind == "spheres":
-            knee = torch.clamp(twin.exits(origins, directions), min=min(self.half_m) / 2, max=self.far_m)
+            least, most = self._bent(min(self.half_m) / 2), self._bent(self.far_m)
+            knee = torch.clamp(twin.exits(origins, directions), min=least, max=most)
         if self.kind == "box":
             near, far = twin.clip(origins, directions, near, far)
         return Aim(origins.contiguous(), directions.contiguous(), self.spacing(knee), near, far)
+
+    def _bent(self, knee_m: float) -> float:
+        """Return a knee, metres, or the largest that this space has."""
+        return knee_m if self.knee_most_m is None else min(knee_m, self.knee_most_m)
 
     def spacing(self, knee_m: Tensor) -> Spacing:
         """Return how depth is spaced with knees (r,)."""
@@ -175,25 +185,21 @@ class Space:
         return Spacing(knee_m, low, span, self.near_m, self.far_m)
 
 
-def _axes(positions_m: Points, points_m: Points) -> npt.NDArray[np.float64]:
-    """Choose orthonormal axes, (3, 3), one a row, each near the world axis of its row."""
-    _, path_spread, path = np.linalg.svd(positions_m - positions_m.mean(axis=0), full_matrices=True)
-    spread = np.diag([1.0, 1.0, 1.0])
-    if len(points_m) > 2:
-        near = points_m[:: max(1, len(points_m) // 20_000)].astype(np.float64)
-        near = near - np.median(near, axis=0)
-        near = near[np.linalg.norm(near, axis=1) <= np.quantile(np.linalg.norm(near, axis=1), 0.8)]
-        spread = near.T @ near / len(near)
-    elif path_spread[0] < 1:
-        return np.eye(3)
-    if path_spread[0] / np.sqrt(len(positions_m)) < 1:
-        axes = np.linalg.eigh(spread)[1].T
-    else:
-        # Across the path: the directions in which the points are spread most and least.
-        across = np.eye(3) - np.outer(path[0], path[0])
-        axes = np.linalg.eigh(across @ (spread + 1e-6 * np.diag([1.0, 2.0, 3.0])) @ across)[1].T
-        axes[0] = path[0]
-    return _nearest_order(axes)
+def _axes(T_world_cam: Poses) -> npt.NDArray[np.float64]:
+    """Choose orthonormal axes, (3, 3), one a row, each near the world axis of its row.
+
+    The path comes first, then the cameras' mean down; where one says nothing, where they look and their right do.
+    """
+    positions_m = T_world_cam[:, :3, 3]
+    _, spread, ways = np.linalg.svd(positions_m - positions_m.mean(axis=0), full_matrices=True)
+    right, down, ahead = T_world_cam[:, :3, :3].mean(axis=0).T
+    moves = spread[0] / np.sqrt(len(positions_m)) >= SHORT_M
+    axes: list[npt.NDArray[np.float64]] = []
+    for way in (*([ways[0]] if moves else []), down, ahead, right, *np.eye(3)):
+        rest = way - sum((axis * (axis @ way) for axis in axes), np.zeros(3))
+        if len(axes) < 3 and np.linalg.norm(rest) > STRAIGHT:
+            axes.append(rest / np.linalg.norm(rest))
+    return _nearest_order(np.stack(axes))
 
 
 def _nearest_order(axes: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -203,20 +209,6 @@ def _nearest_order(axes: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     _, order = linear_sum_assignment(-np.abs(axes.T))
     axes = axes[order]
     return axes * np.where(np.diag(axes) < 0, -1.0, 1.0)[:, None]
-
-
-def _reach(positions_m: Points, points_m: Points) -> tuple[float, float]:
-    """Choose near and far, metres, from the points' distances to the nearest camera."""
-    if not len(points_m):
-        return NEAR_M, FAR_M
-    from scipy.spatial import cKDTree
-
-    some = points_m[:: max(1, len(points_m) // 100_000)]
-    distance_m = cKDTree(positions_m).query(some)[0]
-    path_m = float(np.linalg.norm(np.ptp(positions_m, axis=0)))
-    farthest_m = float(np.quantile(distance_m, 0.999))
-    near_m = float(np.clip(0.5 * np.quantile(distance_m, 0.001), 0.05, NEAR_M))
-    return near_m, float(np.clip(1.25 * (farthest_m + min(path_m, farthest_m)), 40.0, 1000.0))
 
 
 def _triple(values: npt.NDArray[np.floating[Any]]) -> Triple:

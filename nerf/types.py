@@ -16,7 +16,7 @@ from torch import Tensor
 from priors.errors import DataError
 from priors.types import Camera, Depth, FloatMap, Matrix
 
-BOX, BALL, SPHERES = 0, 1, 2
+BOX, BALL, SPHERES, CUBE = 0, 1, 2, 3
 """The kinds of a space as the kernels know them: nerf.space."""
 FEATURES = 2
 """Features of a grid's row: two bfloat16 are one 32-bit word in the kernels."""
@@ -164,14 +164,16 @@ class Target(NamedTuple):
 
 
 class Extent(NamedTuple):
-    """How large a space is: what nerf.twin.space, `stretch`, needs."""
+    """How large a space and its cells are: what nerf.twin.space, `stretch`, and nerf.twin.occupancy need."""
 
     kind: int
-    """BOX, BALL or SPHERES."""
+    """BOX, BALL, SPHERES or CUBE."""
     mean_m: float
     """Geometric mean of the half extents, metres."""
     farthest: float
     """|place| beyond which places are pulled back."""
+    air_m: float = 0.0
+    """An occupancy grid's cell is as thick as so much of its density, metres, where it is smaller than that."""
 
 
 class Spacing(NamedTuple):
@@ -220,7 +222,7 @@ class Course:
     slots: int
     """Columns that hold any ray's candidates."""
     kind: int
-    """The space's kind: BOX, BALL or SPHERES."""
+    """The space's kind: BOX, BALL, SPHERES or CUBE."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from nerf import roulette
-from nerf.config import FitConfig, ModelConfig
+from nerf.config import MOST_CELLS, FitConfig, ModelConfig
 from nerf.converged import Converged
 from nerf.field import Field, FieldConfig
 from nerf.kernels import kernels_for
@@ -55,14 +55,21 @@ class VolumetricFamily:
 
     def start(self, scene: Scene, config: FitConfig, device: str) -> "VolumetricModel":
         """Make an untrained model around a scene, carved where the scene has a prior."""
-        space = Space.around(scene.T_world_cam[scene.train, :3, 3], scene.points_m(), self.space)
-        sampler = config.model.sampler
+        space, sampler = Space.along(scene.T_world_cam, self.space), config.model.sampler
         if sampler.carve and scene.depth_m is not None:
             scene = scene if sampler.carve_sky else replace(scene, sky=None)
             occupancy = Occupancy.carve(space, scene, trust=sampler.trust, device=device)
         else:
             occupancy = Occupancy(space, device=device)
-        converged = Converged.of(scene) if sampler.roulette_rays < 1 else None
+        return self._around(occupancy, scene, config)
+
+    def go_on(self, scene: Scene, config: FitConfig, record: dict[str, Any], device: str) -> "VolumetricModel":
+        """Make a model in a checkpoint's own space, which an earlier version may have laid otherwise."""
+        return self._around(Occupancy(restore(Space, record["space"]), device=device), scene, config)
+
+    def _around(self, occupancy: Occupancy, scene: Scene, config: FitConfig) -> "VolumetricModel":
+        """Make a model around an occupancy grid."""
+        converged = Converged.of(scene) if config.model.sampler.roulette_rays < 1 else None
         return VolumetricModel(config.model, self, occupancy, config.seed, converged)
 
     def open(
@@ -93,7 +100,8 @@ class VolumetricModel:
         self.converged = converged
         self.config, self.family, self.occupancy = config, family, occupancy
         self.space, self.device = occupancy.space, occupancy.kept.device
-        grid = GridConfig(log2_size=config.log2_size, finest=config.finest, tables=self.space.tables)
+        finest = min(round(config.finest * self.space.detail), MOST_CELLS)
+        grid = GridConfig(log2_size=config.log2_size, finest=finest, tables=self.space.tables)
         self.field = Field(FieldConfig(grid, MLPConfig(width=config.width)), self.device, seed)
         self.sky = Sky(SkyConfig(), self.device)
         self.sampler = Sampler(self.space, occupancy)

@@ -12,7 +12,7 @@ split, its old name stays beside the dataclass, oldest first:
 Old records are then read as before, keys stay what they were, and flags work under both names (cli/renamed.py). An old
 name is never the name of a field of today.
 
-Where a new field's default changes what comes out, what earlier versions did stands beside it:
+Where a new field, or a field's new default, changes what comes out, what earlier versions did stands beside it:
 
     BEFORE: ClassVar[Mapping[str, Any]] = {"terminate": 0.0}
 
@@ -42,23 +42,23 @@ def aliases(kind: type[Any]) -> Aliases:
 
 
 def before(kind: type[Any]) -> Mapping[str, Any]:
-    """Return what fields were in effect before there were such fields; most configs say nothing."""
+    """Return what fields were in effect before they were there or had today's default; most configs say nothing."""
     return getattr(kind, "BEFORE", {})
 
 
-def earlier(config: Config, old: Record) -> Config:
-    """Return what the version that wrote a record made of the same wishes.
+def earlier(config: Config, begun: Config) -> Config:
+    """Return what the version that began something made of the same wishes.
 
-    Fields that the record lacks, and that are at their default, have the value that was in effect then.
+    A field at today's default is as it was begun, where that is what an earlier version did: some earlier versions had
+    a part of today's defaults.
     """
     changes: Record = {}
-    found = _renamed(type(config), old)
     for field in fields(config):  # type: ignore[arg-type]
-        value = getattr(config, field.name)
-        if is_dataclass(value):
-            changes[field.name] = earlier(value, found.get(field.name) or {})
-        elif field.name in before(type(config)) and field.name not in found and value == field.default:
-            changes[field.name] = before(type(config))[field.name]
+        value, old = getattr(config, field.name), getattr(begun, field.name)
+        if is_dataclass(value) and type(old) is type(value):
+            changes[field.name] = earlier(value, old)
+        elif field.name in before(type(config)) and value == field.default and old == before(type(config))[field.name]:
+            changes[field.name] = old
     return replace(config, **changes)  # type: ignore[type-var]
 
 

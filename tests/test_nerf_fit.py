@@ -16,10 +16,12 @@ from nerf.losses import LossConfig
 from nerf.run import RunConfig, claim, open_run
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
+from nerf.space import Space
 from nerf.split import split
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.geometry import rays as pixel_rays
+from priors.records import restore
 from priors.types import Camera
 
 SIZE = (24, 64)
@@ -105,6 +107,41 @@ def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, family: str) -> Non
     for name, tensor in whole.parameters().items():
         assert torch.equal(tensor, parts.parameters()[name]), name
     assert torch.equal(whole.occupancy.kept, parts.occupancy.kept)
+
+
+@pytest.mark.parametrize("family", ["ngp", "mip360", "nerfpp"])
+def test_a_prior_does_not_move_the_space(family: str) -> None:
+    scene, start = corridor("sparse"), fields.family(family).start
+    assert scene.depth_m is not None
+    rng = np.random.default_rng(5)
+    wrong = np.where(rng.random(scene.depth_m.shape) < 0.3, 10 * scene.depth_m, scene.depth_m).astype(np.float32)
+    near = np.where(scene.depth_m < 6, scene.depth_m, 0)
+    thin = np.where(rng.random(scene.depth_m.shape) < 0.01, scene.depth_m, 0)
+    laid = {
+        start(replace(scene, depth_m=each), config(), "cpu").space for each in (scene.depth_m, wrong, near, thin, None)
+    }
+    assert len(laid) == 1
+
+
+def test_a_run_goes_on_in_the_space_that_it_was_begun_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An earlier version laid a box around the prior; its runs end in the bits in which they would have ended then."""
+    scene, short = corridor("sparse"), 5
+    recorded = {"kind": "box", "centre_m": [0.1, 0.2, 14.7], "half_m": [5.3, 4.0, 21.1], "near_m": 0.31, "far_m": 71.9}
+    with monkeypatch.context() as then:
+        then.setattr(Space, "along", classmethod(lambda cls, poses, kind: restore(Space, recorded)))
+        whole = fit(scene, config(2 * short), tmp_path / "whole")
+
+        def kill(status: Status) -> None:
+            if status.step == short:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            fit(scene, config(2 * short), tmp_path / "parts", kill)
+    parts = fit(scene, config(2 * short), tmp_path / "parts")
+    assert parts.space == whole.space != Space.along(scene.T_world_cam, "cube")
+    assert parts.space.detail == 1 and parts.space.knee_m == 5.3, "what earlier versions did is what a record lacks"
+    for name, tensor in whole.state().items():
+        assert torch.equal(tensor, parts.state()[name]), name
 
 
 def test_another_seed_ends_elsewhere(tmp_path: Path) -> None:

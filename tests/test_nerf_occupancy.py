@@ -17,10 +17,12 @@ from nerf.types import Rays
 from priors.geometry import rays as pixel_rays
 from priors.types import Camera
 
-KINDS: list[Kind] = ["box", "ball", "spheres"]
+KINDS: list[Kind] = ["box", "ball", "spheres", "cube"]
 HEIGHT, WIDTH, FRAMES = 24, 48, 6
 CAMERA = Camera(np.array([[40.0, 0, 23.5], [0, 40.0, 8.0], [0, 0, 1]]), (HEIGHT, WIDTH))
 REACH = 0.1
+FOG = 0.02
+"""Density of a field that has learned nothing yet, 1/m: nerf.mlp."""
 
 
 def wall_depth(position: int) -> np.ndarray:
@@ -38,8 +40,8 @@ def scene(depth_m: np.ndarray | None) -> Scene:
     return Scene("wall", ids, CAMERA, poses, images, depth_m, None, [0, 1, 2, 4, 5], [3])
 
 
-def space(kind: Kind) -> Space:
-    return Space(kind, (0.0, 0.0, 15.0), (20.0, 12.0, 20.0), 0.5, 100.0)
+def space(kind: Kind, air_m: float = 0.0) -> Space:
+    return Space(kind, (0.0, 0.0, 15.0), (20.0, 12.0, 20.0), 0.5, 100.0, air_m=air_m)
 
 
 DENSE = np.stack([wall_depth(i) for i in range(FRAMES)])
@@ -52,9 +54,14 @@ def lower_half(depth_m: np.ndarray) -> np.ndarray:
     return sparse
 
 
+def size(made: Space, place: np.ndarray) -> float:
+    """How far out a place lies, by its space's norm."""
+    return float(np.abs(place).max() if made.kind == "cube" else np.linalg.norm(place))
+
+
 def cell(made: Space, place: np.ndarray, resolution: int) -> tuple[int, ...]:
     """Table, z, y, x of a place, from the spaces' formulas."""
-    radius = np.linalg.norm(place)
+    radius = size(made, place)
     inner = made.kind == "box" or (made.kind == "spheres" and radius <= 1)
     u = (place + 1) / 2 if inner else (2 - 1 / max(radius, 1)) * place / max(radius, 1) / 4 + 0.5
     x, y, z = np.clip((u * resolution).astype(int), 0, resolution - 1)
@@ -76,8 +83,9 @@ def naive(made: Space, drive: Scene, resolution: int) -> np.ndarray:
                 while True:
                     place = origin + t * direction
                     marks[(mark, *cell(made, place, resolution))] = True
-                    radius = np.linalg.norm(place)
-                    stretch = {"box": 1.0, "ball": max(radius, 1), "spheres": radius if radius >= 1 else 0.5}
+                    radius = size(made, place)
+                    outer = max(radius, 1)
+                    stretch = {"box": 1.0, "ball": outer, "cube": outer, "spheres": radius if radius >= 1 else 0.5}
                     if t >= last:
                         break
                     t = min(last, t + 0.5 * side * stretch[made.kind] / np.linalg.norm(direction))
@@ -196,6 +204,25 @@ def test_pruning_leaves_what_the_field_says(kind: Kind) -> None:
     assert grid.holds(rays.origins_m + 12.0 * rays.directions).float().mean() < 0.05
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_how_fine_a_grid_is_does_not_say_what_is_empty(kind: Kind) -> None:
+    """Fog near the cameras stays in cells of any size that are smaller than the air that is asked about."""
+    made = space(kind, air_m=3.0)
+    rays = view_rays(CAMERA, scene(None).T_world_cam[3])
+    near = rays.origins_m + 3.0 * rays.directions
+
+    def density(u: torch.Tensor, table: torch.Tensor) -> torch.Tensor:
+        return torch.where(made.unwarp(u, table)[:, 2] < 25, FOG, 5.0)
+
+    for resolution in (16, 48):
+        grids = [Occupancy(dataclasses.replace(made, air_m=air_m), resolution) for air_m in (3.0, 0.0)]
+        for grid in grids:
+            for step in range(WARM_UP, WARM_UP + 320, 16):
+                grid.update(density, (0, step))
+        assert grids[0].holds(near).all()
+    assert grids[1].holds(near).float().mean() < 0.5, "small cells are thin"
+
+
 def test_a_pruned_cell_comes_back_when_something_grows_there() -> None:
     made = space("ball")
     grid = Occupancy(made, 8)
@@ -276,9 +303,10 @@ def looked_at(kind: Kind, count: int, seed: int = 0) -> tuple[torch.Tensor, torc
     return u, table, torch.exp(6 * torch.rand(count, generator=g) - 4)
 
 
+@pytest.mark.parametrize("air_m", [0.0, 3.0])
 @pytest.mark.parametrize("kind", KINDS)
-def test_upkeep_by_kernels_equals_the_twin_bit_for_bit(kind: Kind) -> None:
-    made, fast = space(kind), cpu_kernels().sample
+def test_upkeep_by_kernels_equals_the_twin_bit_for_bit(kind: Kind, air_m: float) -> None:
+    made, fast = space(kind, air_m), cpu_kernels().sample
     thickness = [torch.full((made.tables, 16, 16, 16), -1.0) for _ in range(2)]
     allowed = (torch.rand(thickness[0].shape) > 0.3).to(torch.uint8)
     kept = [torch.zeros_like(allowed) for _ in range(2)]

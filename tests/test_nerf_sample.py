@@ -16,7 +16,7 @@ from nerf.space import Kind, Space
 from nerf.twin import sample as twin
 from nerf.types import SAMPLE_BLOCK, Histogram, Rays, Samples
 
-KINDS: list[Kind] = ["box", "ball", "spheres"]
+KINDS: list[Kind] = ["box", "ball", "spheres", "cube"]
 SPACE = Space("ball", (0.0, 0.0, 20.0), (12.0, 5.0, 25.0), 0.5, 200.0)
 
 

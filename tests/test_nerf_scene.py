@@ -97,14 +97,6 @@ def test_drawing_is_decided_by_seed_and_step(tmp_path: Path) -> None:
     assert set(one.origins_m[:, 2].tolist()) <= {float(position) for position in made.train}
 
 
-def test_points_lie_where_the_prior_says(tmp_path: Path) -> None:
-    drive = Corridor()
-    made = scene(tmp_path, drive, prior(tmp_path / "cache", {id_: flat(5.0) for id_ in drive.ids[:3]}))
-    points_m = made.points_m()
-    assert len(points_m) == 3 * SIZE[0] * SIZE[1]
-    assert sorted(set(np.round(points_m[:, 2]))) == [5, 6, 7]
-
-
 def test_filters_thin_the_prior(tmp_path: Path) -> None:
     depth_m = flat(5.0)
     depth_m[:3] = 50

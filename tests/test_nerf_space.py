@@ -12,7 +12,7 @@ from nerf.space import Kind, Space
 from nerf.twin import space as twin
 from nerf.types import Rays
 
-KINDS: list[Kind] = ["box", "ball", "spheres"]
+KINDS: list[Kind] = ["box", "ball", "spheres", "cube"]
 TURNED = ((0.8, 0.6, 0.0), (-0.6, 0.8, 0.0), (0.0, 0.0, 1.0))
 
 
@@ -23,7 +23,7 @@ def make(kind: Kind, **changes) -> Space:
 def formula(space: Space, point: np.ndarray) -> tuple[np.ndarray, int]:
     """One point's u and table, from the issue's formulas, float64."""
     x = np.array(space.axes) @ (point - np.array(space.centre_m)) / np.array(space.half_m)
-    r = np.linalg.norm(x)
+    r = np.abs(x).max() if space.kind == "cube" else np.linalg.norm(x)
     if space.kind == "box":
         return np.clip((x + 1) / 2, 0, 1), 0
     z = x if r <= 1 else (2 - 1 / r) * (x / r)
@@ -63,7 +63,7 @@ def test_unwarp_undoes_warp(kind: Kind) -> None:
     torch.testing.assert_close(space.unwarp(u, table)[inside], points[inside], rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["ball", "spheres"])
+@pytest.mark.parametrize("kind", ["ball", "spheres", "cube"])
 def test_a_unit_of_u_spans_the_stretch(kind: Kind) -> None:
     space = make(kind, half_m=(12.0, 12.0, 12.0))
     away = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64) * torch.tensor([[3.0], [11.0], [40.0], [150.0]])
@@ -151,40 +151,64 @@ def test_exits_lie_on_the_sphere(origin: tuple[float, ...], direction: tuple[flo
         assert steps.norm(dim=1).min() > 1 - 1e-3
 
 
-def street(rng: np.random.Generator, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    path = np.stack([np.linspace(0, 60, 40), np.zeros(40), np.zeros(40)], axis=1)
-    points = np.stack([rng.uniform(0, 120, 5000), rng.uniform(-15, 15, 5000), rng.uniform(-1.5, 6, 5000)], axis=1)
-    return path @ turn.T + 1000, points @ turn.T + 1000
+def drive(length_m: float, frames: int = 40, turn: float = 0.7) -> np.ndarray:
+    """Poses of a camera that looks along its path, level, turned about the world's up axis z, a kilometre away."""
+    cosine, sine = np.cos(turn), np.sin(turn)
+    ahead, down = np.array([cosine, sine, 0]), np.array([0, 0, -1.0])
+    poses = np.tile(np.eye(4), (frames, 1, 1))
+    poses[:, :3, :3] = np.stack([np.cross(down, ahead), down, ahead], axis=1)
+    poses[:, :3, 3] = 1000 + np.linspace(0, length_m, frames)[:, None] * ahead
+    return poses
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_street_gets_a_long_narrow_low_space_along_it(kind: Kind) -> None:
-    cosine, sine = np.cos(0.7), np.sin(0.7)
-    turn = np.array([[cosine, -sine, 0], [sine, cosine, 0], [0, 0, 1]])
-    path, points = street(np.random.default_rng(3), turn)
-    space = Space.around(path, points, kind)
+def test_a_street_gets_a_long_narrow_low_space_along_its_path(kind: Kind) -> None:
+    poses = drive(100)
+    space = Space.along(poses, kind)
     axes = np.array(space.axes)
     np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
-    lengths = [max(space.half_m), sorted(space.half_m)[1], min(space.half_m)]
-    assert abs(axes[int(np.argmax(space.half_m))] @ turn[:, 0]) > 0.999
-    assert lengths[0] > 1.8 * lengths[1] and lengths[1] >= lengths[2] and lengths[0] <= 3.01 * lengths[2]
-    u, _ = space.warp(torch.from_numpy(path.astype(np.float32)))
-    low, high = (0.25, 0.75) if kind == "ball" else (0, 1)
+    along = int(np.argmax(space.half_m))
+    assert abs(axes[along] @ poses[0, :3, 2]) > 0.9999 and abs(axes[2, 2]) > 0.9999
+    assert max(space.half_m) == pytest.approx(50 + 16)
+    assert np.delete(space.half_m, along) == pytest.approx((50 + 16) / 3)
+    u, _ = space.warp(torch.from_numpy(poses[:, :3, 3].astype(np.float32)))
+    low, high = (0.25, 0.75) if kind in ("ball", "cube") else (0, 1)
     assert u.min() > low and u.max() < high  # the path is in the inner region
-    assert 0 < space.near_m <= 0.5 and 60 < space.far_m < 300
 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("frames", [1, 2, 40])
-def test_a_space_without_points_holds_the_path(kind: Kind, frames: int) -> None:
-    path = np.linspace([5.0, 1.0, 0.0], [5.0, 1.0, 30.0], frames)
-    space = Space.around(path, np.zeros((0, 3)), kind)
-    assert np.isfinite([*space.centre_m, *space.half_m]).all() and min(space.half_m) >= 4
-    u, _ = space.warp(torch.from_numpy(path.astype(np.float32)))
+@pytest.mark.parametrize("length_m", [0.0, 0.5, 30.0])
+def test_a_space_holds_any_path(kind: Kind, frames: int, length_m: float) -> None:
+    poses = drive(length_m, frames)
+    space = Space.along(poses, kind)
+    assert np.isfinite([*space.centre_m, *space.half_m]).all() and min(space.half_m) >= 16
+    axes = np.array(space.axes)
+    np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+    u, _ = space.warp(torch.from_numpy(poses[:, :3, 3].astype(np.float32)))
     assert u.min() > 0.25 and u.max() < 0.75
 
 
-def test_points_that_are_not_finite_are_left_out() -> None:
-    path, points = street(np.random.default_rng(4), np.eye(3))
-    bad = np.concatenate([points, [[np.nan, 0, 0], [np.inf, 0, 0]]])
-    assert Space.around(path, bad, "ball") == Space.around(path, points, "ball")
+def test_a_path_straight_down_and_one_that_turns_back_have_axes() -> None:
+    sinking, turning = drive(0), drive(20)
+    sinking[:, 2, 3] -= np.linspace(0, 30, 40)
+    turning[20:, :3, :2] *= -1  # half of the cameras stand on their heads: their mean down is nothing
+    for poses in (sinking, turning):
+        axes = np.array(Space.along(poses, "ball").axes)
+        np.testing.assert_allclose(axes @ axes.T, np.eye(3), atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["cube", "ball", "spheres"])
+def test_cells_and_steps_near_the_camera_do_not_follow_the_path(kind: Kind) -> None:
+    for length_m in (30, 100, 300):
+        poses = drive(length_m)
+        space = Space.along(poses, kind)
+        place = torch.from_numpy(poses[20:21, :3, 3].copy())
+        ahead = torch.from_numpy(poses[20:21, :3, 2].copy())
+        u, _ = space.warp(place)
+        further, _ = space.warp(place + 0.01 * ahead)
+        cells = float((further - u).norm()) * 2048 * space.detail / 0.01
+        assert cells >= 1 / 0.11, "cells of at most 0.1 m along the path"
+        aim = space.aim(Rays(place.float(), ahead.float()))
+        ends = twin.depth(torch.linspace(0, 1, 257)[:, None], aim.spacing)
+        assert ends.diff(dim=0)[:20].max() < 0.13, "256 steps are dense where the camera sees detail"

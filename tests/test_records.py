@@ -190,21 +190,22 @@ def test_a_record_from_before_a_field_is_read_as_it_was() -> None:
     assert restore(Around, {"grown": {"old": 2}}) == Around(Grown(2, 0.0))
     assert restore(Around, record(Around())) == Around(Grown(1, 0.5))
     assert upgrade(Grown, {"old": 2})["fresh"] == 0.0
-    before = {"grown": {"old": 1}}
-    assert earlier(Around(), before) == earlier(Around(), {}) == Around(Grown(1, 0.0))
-    assert earlier(Around(Grown(fresh=0.7)), before) == Around(Grown(fresh=0.7)), "what was asked for stays"
-    assert earlier(Around(), record(Around())) == Around(), "a record that has the field is of this version"
 
 
-@dataclass(frozen=True)
-class GrownTwice(Grown):
-    """A config with a field of each of two later versions."""
+def test_a_config_goes_on_as_an_earlier_version_began_it() -> None:
+    begun = Around(Grown(2, 0.0))
+    assert earlier(Around(), begun) == Around(Grown(1, 0.0))
+    assert earlier(Around(), Around()) == Around(), "begun by this version"
+    assert earlier(Around(), Around(Grown(fresh=0.3))) == Around(), "no version did that by default"
+    assert earlier(Around(Grown(fresh=0.7)), begun) == Around(Grown(fresh=0.7)), "what was asked for stays"
 
-    fresher: float = 0.3
 
-    BEFORE: ClassVar[Mapping[str, Any]] = {"fresh": 0.0, "fresher": 9.0}
+def test_versions_that_had_a_part_of_todays_defaults_go_on() -> None:
+    @dataclass(frozen=True)
+    class Twice:
+        first: int = 1
+        second: int = 2
+        BEFORE: ClassVar[Mapping[str, Any]] = {"first": 10, "second": 20}
 
-
-def test_a_record_between_two_new_fields_lacks_the_newer_alone() -> None:
-    assert earlier(GrownTwice(), {"old": 1, "fresh": 0.5}) == GrownTwice(fresher=9.0)
-    assert earlier(GrownTwice(), {"old": 1}) == GrownTwice(fresh=0.0, fresher=9.0)
+    for begun in (Twice(), Twice(1, 20), Twice(10, 20)):
+        assert earlier(Twice(), begun) == begun

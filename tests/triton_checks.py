@@ -283,7 +283,7 @@ def untrained(name: str, like: Tensor) -> Tensor:
     return Field(config, "cpu", seed=3).parameters()[name.removeprefix("field.")]
 
 
-@pytest.mark.parametrize("kind", ["box", "ball", "spheres"])
+@pytest.mark.parametrize("kind", ["box", "ball", "spheres", "cube"])
 def test_samplers_say_where_their_tensors_are(kind: Any) -> None:
     """The plain samplers serve GPUs."""
     rays = make([1] * 6)[-1]

@@ -11,9 +11,11 @@ from nerf.types import Extent
 def note(thickness: Tensor, u: Tensor, table: Tensor, sigma: Tensor, extent: Extent, decay: float) -> None:
     """Let the cells at u (m, 3) of tables (m,) decay once, and rise to what the densities (m,), 1/m, make of them.
 
-    thickness: (tables, n, n, n), the cells' optical thickness: density times the width of a cell, metres.
+    thickness: (tables, n, n, n), the cells' optical thickness: density times the width of a cell, metres, or times
+    the extent's air_m where that is more.
     """
-    found = sigma.to(torch.float32) * stretch(u, table, extent) / thickness.shape[-1]
+    sigma = sigma.to(torch.float32)
+    found = torch.maximum(sigma * stretch(u, table, extent) / thickness.shape[-1], sigma * extent.air_m)
     cell = cells(u, table, thickness.shape[-1])
     flat = thickness.view(-1)
     flat[cell] = flat[cell] * decay

@@ -7,7 +7,7 @@ products are spelt out in the kernels' order, so that float32 gives the same bit
 import torch
 from torch import Tensor
 
-from nerf.types import BALL, BOX, Extent, Spacing
+from nerf.types import BOX, CUBE, SPHERES, Extent, Spacing
 
 _LARGEST = 1e15
 """Beyond it only the direction of a place counts: its square must not overflow float32."""
@@ -20,21 +20,27 @@ def length(place: Tensor) -> Tensor:
     return torch.sqrt((x * x + y * y + z * z).double()).to(place.dtype)
 
 
+def size(place: Tensor, kind: int) -> Tensor:
+    """Return how far out places (n, 3) lie, (n,): 1 on the inner region's border, a cube's or a ball's."""
+    return place.abs().amax(dim=-1) if kind == CUBE else length(place)
+
+
 def warp(place: Tensor, kind: int) -> tuple[Tensor, Tensor]:
     """Map places (n, 3) to u (n, 3) in [0, 1] and the table (n,) int32 that holds them.
 
     box: u = (x + 1) / 2, clipped. ball: u = z / 4 + 1/2 with z = x inside the unit ball and (2 - 1/|x|) x/|x| outside
-    (MipNeRF-360, equation 10). spheres: the unit ball fills table 0, the shell outside is table 1 of the same z:
-    (x/|x|, 1/|x|) of NeRF++ is what z holds.
+    (MipNeRF-360, equation 10). cube: the same, |x| being the largest coordinate, as in nerfstudio's contraction of
+    order infinity: a box, and all that is outside of it in a shell. spheres: the unit ball fills table 0, the shell
+    outside is table 1 of the same z: (x/|x|, 1/|x|) of NeRF++ is what z holds.
     """
     inner = torch.zeros(place.shape[:-1], dtype=torch.int32, device=place.device)
     if kind == BOX:
         return torch.clamp(place * 0.5 + 0.5, 0, 1), inner
     largest = place.abs().amax(dim=-1, keepdim=True)
     place = place * torch.clamp(torch.reciprocal(largest) * _LARGEST, max=1)
-    inverse = 1 / torch.clamp(length(place), min=1)
+    inverse = 1 / torch.clamp(size(place, kind), min=1)
     shrunk = place * ((2 - inverse) * inverse)[..., None]
-    if kind == BALL:
+    if kind != SPHERES:
         return shrunk * 0.25 + 0.5, inner
     outside = inverse < 1
     u = torch.where(outside[..., None], shrunk * 0.25 + 0.5, place * 0.5 + 0.5)
@@ -46,19 +52,19 @@ def unwarp(u: Tensor, table: Tensor, kind: int, farthest: float) -> Tensor:
     if kind == BOX:
         return u * 2 - 1
     z = u * 4 - 2
-    radius = length(z)
+    radius = size(z, kind)
     outer = 1 / torch.clamp(2 - radius, min=1 / farthest)
     place = torch.where((radius > 1)[..., None], z * (outer / torch.clamp(radius, min=1))[..., None], z)
-    return place if kind == BALL else torch.where((table > 0)[..., None], place, u * 2 - 1)
+    return place if kind != SPHERES else torch.where((table > 0)[..., None], place, u * 2 - 1)
 
 
 def stretch(u: Tensor, table: Tensor, extent: Extent) -> Tensor:
     """Return the metres (n,) that one unit of u spans, away from the centre, at u (n, 3); half extents averaged."""
     if extent.kind == BOX:
         return torch.full_like(u[:, 0], 2 * extent.mean_m)
-    radius = torch.clamp(length(unwarp(u, table, extent.kind, extent.farthest)), min=1)
+    radius = torch.clamp(size(unwarp(u, table, extent.kind, extent.farthest), extent.kind), min=1)
     outer = 4 * extent.mean_m * (radius * radius)
-    return outer if extent.kind == BALL else torch.where(table > 0, outer, 2 * extent.mean_m)
+    return outer if extent.kind != SPHERES else torch.where(table > 0, outer, 2 * extent.mean_m)
 
 
 def ramp(t: Tensor, knee: Tensor) -> Tensor:

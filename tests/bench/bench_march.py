@@ -50,7 +50,7 @@ def median_ms(run: Callable[[], object], other: Callable[[], object]) -> tuple[f
 
 def main() -> None:
     scene = corridor()
-    space = Space.around(scene.T_world_cam[:, :3, 3], scene.points_m(), "ball")
+    space = Space.along(scene.T_world_cam, "ball")
     Occupancy.carve(space, scene)
     start = time.perf_counter()
     grid = Occupancy.carve(space, scene)

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerf.types import BOX, SPHERES
+from nerf.types import BOX, CUBE, SPHERES
 from priors.machine.compiled import compiled
 
 ZERO, HALF, ONE, TWO, QUARTER = np.float32(0), np.float32(0.5), np.float32(1), np.float32(2), np.float32(0.25)
@@ -60,6 +60,12 @@ class Packed(NamedTuple):
 
 
 @compiled(error_model="numpy", inline="always")
+def size(x, y, z, kind):  # type: ignore[no-untyped-def]
+    """Return how far out a place lies: twin.space.size."""
+    return max(abs(x), abs(y), abs(z)) if kind == CUBE else np.sqrt(x * x + y * y + z * z)
+
+
+@compiled(error_model="numpy", inline="always")
 def warp(x, y, z, kind):  # type: ignore[no-untyped-def]
     """Map a place to u and its table: twin.space.warp."""
     if kind == BOX:
@@ -69,7 +75,7 @@ def warp(x, y, z, kind):  # type: ignore[no-untyped-def]
     if largest > LARGEST:
         scale = ONE / largest * LARGEST
         x, y, z = x * scale, y * scale, z * scale
-    inverse = ONE / max(np.sqrt(x * x + y * y + z * z), ONE)
+    inverse = ONE / max(size(x, y, z, kind), ONE)
     if kind == SPHERES and inverse >= ONE:
         return x * HALF + HALF, y * HALF + HALF, z * HALF + HALF, 0
     factor = (TWO - inverse) * inverse
@@ -219,7 +225,7 @@ def trace(origins, directions, first_m, last_m, kind, resolution, grid, first_ra
             u, v, w, table = warp(x, y, z, kind)
             grid[cell(u, v, w, table, resolution)] = 1
             # Outside, a cell is r times as wide (and more than r times as deep).
-            radius = np.sqrt(x * x + y * y + z * z)
+            radius = size(x, y, z, kind)
             stretch = ONE if kind == BOX else (inside if radius < ONE else radius)
             step = HALF * side * stretch / speed
             if t < last and t + step > last:

@@ -3,45 +3,49 @@
 import numpy as np
 
 from nerf.kernels.cpu.march import ONE, TWO, ZERO, cell
-from nerf.types import BALL, BOX
+from nerf.types import BOX, CUBE, SPHERES
 from priors.machine.compiled import compiled
 
 FOUR = np.float32(4)
 
 
 @compiled(error_model="numpy", inline="always")
-def _length(x, y, z):  # type: ignore[no-untyped-def]
+def _size(x, y, z, kind):  # type: ignore[no-untyped-def]
+    """Return how far out a place lies: twin.space.size."""
+    if kind == CUBE:
+        return max(abs(x), abs(y), abs(z))
     return np.float32(np.sqrt(np.float64(x * x + y * y + z * z)))
 
 
 @compiled(error_model="numpy", inline="always")
 def _stretch(x, y, z, table, kind, inner, outer, nearest):  # type: ignore[no-untyped-def]
     """Return the metres that one unit of u spans: twin.space.stretch; `nearest`: 1 / the farthest place."""
-    if kind == BOX or (kind != BALL and table == 0):
+    if kind == BOX or (kind == SPHERES and table == 0):
         return inner
     x, y, z = x * FOUR - TWO, y * FOUR - TWO, z * FOUR - TWO
-    radius = _length(x, y, z)
+    radius = _size(x, y, z, kind)
     if radius > ONE:
         factor = (ONE / max(TWO - radius, nearest)) / max(radius, ONE)
-        radius = _length(x * factor, y * factor, z * factor)
+        radius = _size(x * factor, y * factor, z * factor, kind)
     radius = max(radius, ONE)
     return outer * (radius * radius)
 
 
 @compiled(error_model="numpy")
 def note(thickness, u, table, sigma, resolution, extent, decay):  # type: ignore[no-untyped-def]
-    """Note densities (m,) at u (3, m) in flat cells; extent: kind, metres of u inside and outside, 1 / farthest place.
+    """Note densities (m,) at u (3, m) in flat cells; extent: see nerf.kernels.cpu.sample, _extent.
 
     Decayed values are read before any is written: a cell with many samples decays once.
     """
-    kind, inner, outer, nearest = extent
+    kind, inner, outer, nearest, air = extent
     count = sigma.size
     where, found, decayed = np.empty(count, np.int64), np.empty(count, np.float32), np.empty(count, np.float32)
     size = np.float32(resolution)
     for i in range(count):
         x, y, z = u[0, i], u[1, i], u[2, i]
         where[i] = cell(x, y, z, np.int64(table[i]), resolution)
-        found[i] = sigma[i] * _stretch(x, y, z, table[i], kind, inner, outer, nearest) / size
+        thick = sigma[i] * _stretch(x, y, z, table[i], kind, inner, outer, nearest) / size
+        found[i] = max(thick, sigma[i] * air)
         decayed[i] = thickness[where[i]] * decay
     for i in range(count):
         thickness[where[i]] = decayed[i]
@@ -52,7 +56,7 @@ def note(thickness, u, table, sigma, resolution, extent, decay):  # type: ignore
 @compiled(error_model="numpy")
 def stretch(u, table, extent, out, first, last):  # type: ignore[no-untyped-def]
     """Fill out (n,) with the metres that one unit of u (3, n) spans."""
-    kind, inner, outer, nearest = extent
+    kind, inner, outer, nearest, _ = extent
     for i in range(first, last):
         out[i] = _stretch(u[0, i], u[1, i], u[2, i], table[i], kind, inner, outer, nearest)
 

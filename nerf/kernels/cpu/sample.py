@@ -118,10 +118,10 @@ def prune(thickness: Tensor, allowed: Tensor, thin: float, kept: Tensor) -> None
     threads.run(len(parts), lambda part: loop(cells, flat, limit, out, *parts[part]))
 
 
-def _extent(extent: Extent) -> tuple[int, np.float32, np.float32, np.float32]:
-    """Return the kind, the metres that u spans inside and (at |place| = 1) outside, and 1 / the farthest place."""
+def _extent(extent: Extent) -> tuple[int, np.float32, np.float32, np.float32, np.float32]:
+    """Return the kind, the metres that u spans inside and (at |place| = 1) outside, 1 / the farthest place, air_m."""
     inner, outer, nearest = 2 * extent.mean_m, 4 * extent.mean_m, 1 / extent.farthest
-    return extent.kind, np.float32(inner), np.float32(outer), np.float32(nearest)
+    return extent.kind, np.float32(inner), np.float32(outer), np.float32(nearest), np.float32(extent.air_m)
 
 
 def trace(segments: tuple[npt.NDArray[Any], ...], kind: int, resolution: int, grid: npt.NDArray[np.uint8]) -> None:
