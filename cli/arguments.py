@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
@@ -11,18 +11,20 @@ import tyro
 from cli import mistakes
 from cli.console import err
 from cli.renamed import translate
-from priors import cache, drives
+from priors import cache, drives, sequences
 from priors.cache import Prior
 from priors.drives import DriveOptions
-from priors.errors import DataError, expect_between
+from priors.errors import DataError, UsageError, expect_between
 from priors.machine import threads
 from priors.places import the_place
 from priors.types import Drive
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
     DatasetName = str
+    SequenceName = str
 else:
     DatasetName = Literal["auto", *drives.names()]
+    SequenceName = Literal[tuple(sequences.SEQUENCES)]
 Device = Literal["auto", "cpu", "cuda"]
 Parsed = TypeVar("Parsed")
 
@@ -38,6 +40,11 @@ class DriveArguments:
     """Data set; auto recognises it from the folder."""
     part: tyro.conf.OmitArgPrefixes[DriveOptions] = DriveOptions()
 
+    @property
+    def names_drive(self) -> bool:
+        """Whether the user says which drive it is."""
+        return self.data is not None
+
     def open(self, typed: Sequence[str] = ()) -> Drive:
         """Open the drive; `typed`, program, command and flags, is repeated where there are several to choose from."""
         if self.data is not None:
@@ -45,6 +52,56 @@ class DriveArguments:
         place = the_place(Path(), self.part.drive, typed)
         err.print(f"drive: {place.path}")
         return drives.open_drive(place.path, place.dataset, replace(self.part, drive=None))
+
+
+@dataclass(frozen=True)
+class SequenceArguments(DriveArguments):
+    """Where a drive is, or which published sequence of a drive is meant."""
+
+    sequence: SequenceName | None = field(default=None, kw_only=True)
+    """Drive, camera and frames of a published study: study-1 to study-5 are KITTI's, study-6 to study-8 Argoverse's.
+    DATA is then the drive's folder, or one above it."""
+
+    @property
+    def names_drive(self) -> bool:
+        """Whether the user says which drive it is."""
+        return self.data is not None or self.sequence is not None
+
+    def frame_range(self, frames: str | None) -> str | None:
+        """Return the frames to take: the sequence's, else those that --frames asks for.
+
+        Raises:
+            UsageError: both say it, or a flag says what the sequence does.
+        """
+        if self.sequence is None:
+            return frames
+        said = {"--frames": frames, "--drive": self.part.drive, "--camera": self.part.camera}
+        for flag, value in said.items():
+            if value is not None:
+                raise UsageError(f"{flag}: --sequence {self.sequence} says it: leave out one or the other")
+        return sequences.SEQUENCES[self.sequence].range
+
+    def open(self, typed: Sequence[str] = ()) -> Drive:
+        """Open the drive, or the sequence's with its camera; one that lacks frames of it is refused."""
+        if self.sequence is None:
+            return super().open(typed)
+        found = sequences.find(self.sequence, self.data or Path(), self.dataset)
+        drive = drives.open_drive(found.place.path, found.place.dataset, replace(self.part, camera=found.camera))
+        sequences.expect_whole(self.sequence, drive)
+        frames = sequences.SEQUENCES[self.sequence].range
+        err.print(f"{self.sequence}: {found.place.path}, {found.camera}, frames {frames or 'all'}")
+        return drive
+
+    def typed_drive(self) -> list[str]:
+        """Return the words that name the drive and what is read of it, for a command that is printed."""
+        words = [] if self.data is None else [str(self.data)]
+        words += ["--sequence", self.sequence] if self.sequence is not None else []
+        words += ["--dataset", self.dataset] if self.dataset != "auto" else []
+        for each in fields(self.part):
+            value = getattr(self.part, each.name)
+            if value != each.default:
+                words += [f"--{each.name.replace('_', '-')}", str(value)]
+        return words
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@
 
 import hashlib
 import json
-from collections.abc import Callable
-from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, ExitStack, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -20,18 +20,18 @@ import numpy.typing as npt
 
 from eval.files import write_bytes
 from nerf import origin
+from nerf.guide import Guide, Maps, maps_of
 from nerf.origin import Offset
+from nerf.rate import Rate
 from nerf.scene import Scene
 from nerf.split import check_views, split
 from nerf.stack import Stack, StackWriter
-from priors.cache import Prior
-from priors.drives import poses_of
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.motion import trajectory
 from priors.selection import parse_range, range_of, select
 from priors.sky import VERSION, sky_mask
-from priors.types import Camera, Depth, Drive
+from priors.types import Camera, Drive
 
 SURE = 128
 """Confidence x 255 from which on a value is right rather than wrong: there is no sky, whatever the image shows."""
@@ -49,6 +49,8 @@ class SceneConfig:
     """Range of frames, a:b; None: all."""
     filters: Filters = field(default_factory=Filters)
     """Thin the prior's maps once more, without another cache."""
+    sparse_step: int | None = None
+    """Every so many-th of the frames that are not held out is a sparse view; None: as the drive's rate has it."""
 
     def __post_init__(self) -> None:
         check_views(self.views)
@@ -62,7 +64,7 @@ def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]
 
 def open_scene(
     drive: Drive,
-    prior: Prior | None,
+    prior: Guide | None,
     config: SceneConfig,
     folder: Path,
     progress: ProgressBar = silent,
@@ -72,7 +74,7 @@ def open_scene(
 
     Args:
         drive: its frames.
-        prior: its maps; None: colours alone.
+        prior: its maps, or the drive's true ones; None: colours alone.
         config: which frames, and what the prior passes.
         folder: where the arrays are kept.
         progress: shows what is prepared.
@@ -83,21 +85,20 @@ def open_scene(
             or no value in common with the training frames.
     """
     positions = select(drive.ids, config.frames)
-    train, test = split(len(positions), config.views)
+    step = config.sparse_step or Rate.of(drive, positions).sparse_step
+    train, test = split(len(positions), config.views, step)
     preparation = _Preparation(drive, positions, config.filters, folder, progress)
-    stamps = {} if prior is None else preparation.stamps(prior)  # before images are read: what does not fit is told
-    record = preparation.images()
-    depth_m, weight = None, None
-    if prior is not None:
-        depth_m, weight = preparation.maps(prior, stamps)
-        if not any((depth_m[position] > 0).any() for position in train):
-            lack = f"no value in any of the {len(train)} training frames"
-            raise DataError(f"{prior.folder}: {lack}: build or filter it anew")
+    copied = None if prior is None else preparation.copied(maps_of(prior, drive), test)
+    record = preparation.images()  # after what does not fit is told
+    depth_m, weight = (None, None) if copied is None else copied.maps()
+    if depth_m is not None and copied is not None and not any((depth_m[position] > 0).any() for position in train):
+        lack = f"no value in any of the {len(train)} training frames"
+        raise DataError(f"{copied.source.told}: {lack}: build or filter it anew")
     camera, poses = Camera(np.array(record["K"]), tuple(record["size"])), np.array(record["T_world_cam"])
     images = Stack(preparation.home / "images.npy")
     origin_m = origin.origin_of(poses) if origin_m is None else origin_m
     poses = origin.without(origin_m, poses)
-    sky = None if prior is None else preparation.sky(prior, stamps)
+    sky = None if copied is None else copied.sky()
     return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test, origin_m, sky)
 
 
@@ -145,88 +146,15 @@ class _Preparation:
             write_bytes(path, json.dumps(record).encode())
         return json.loads(path.read_text(encoding="utf-8"))
 
-    def stamps(self, prior: Prior) -> dict[str, str]:
-        """Return what tells apart the maps of the frames that have one, by frame id.
+    def copied(self, source: Maps, test: Sequence[int]) -> "_Copied":
+        """Return a prior's maps on their way into files; DataError where it does not fit.
 
-        Raises:
-            DataError: no frame has a map, or the prior is of another drive.
+        Args:
+            source: the prior's maps.
+            test: positions of the held-out frames among these.
         """
-        made_for = prior.manifest.get("fingerprint")
-        if made_for is not None and made_for != self.drive.fingerprint():
-            raise DataError(f"{prior.folder}: {self._other(prior)}")
-        stamps = {}
-        for id_ in self.ids:
-            with suppress(FileNotFoundError):
-                file = prior.depth_path(id_).stat()
-                stamps[id_] = f"{id_}:{file.st_size}:{file.st_mtime_ns}"
-        if not stamps:
-            raise DataError(
-                f"{prior.folder}: none of the {len(self.positions)} frames has a map: build the prior for them"
-            )
-        return stamps
-
-    def _other(self, prior: Prior) -> str:
-        """Say in what a prior's drive differs from this one, and what to do."""
-        made_with, these = poses_of(prior.drive), poses_of(self.drive.describe())
-        if made_with != these and prior.drive.get("path") == self.drive.describe().get("path"):
-            return f"made with {made_with} poses, these are {these}: --poses {made_with}, or build it anew"
-        return f"made for {prior.drive.get('path')}, not for this {self.drive.name}: build it anew"
-
-    def maps(self, prior: Prior, stamps: dict[str, str]) -> tuple[Stack, Stack | None]:
-        """Copy a prior's filtered maps into one file each, joined by frame id."""
-        place = self._place(prior, stamps)
-        if not (place / "depth.npy").exists():
-            self._copy(prior, set(stamps), place)
-        weight = place / "weight.npy"
-        return Stack(place / "depth.npy"), Stack(weight) if weight.exists() else None
-
-    def _place(self, prior: Prior, stamps: dict[str, str]) -> Path:
-        """Return the folder of a prior's filtered maps."""
-        return self.home / f"{prior.name}-{_digest(json.dumps(self.filters.record()), *stamps.values())}"
-
-    def sky(self, prior: Prior, stamps: dict[str, str]) -> Stack:
-        """Tell the sky's pixels, once: where the image shows it and the prior is not sure of a surface.
-
-        Stereo and completion give the sky no confidence, mono no value; a LiDAR's value is sure.
-        """
-        path = self._place(prior, stamps) / f"sky{VERSION}.npy"
-        if not path.exists():
-            depth_m, weight = self.maps(prior, stamps)
-            files = StackWriter(path, depth_m.shape, np.uint8)
-            with files as sky, self.progress(f"sky of {self.drive.name}", len(self.positions)) as step:
-                for position, number in enumerate(self.positions):
-                    sure = depth_m[position] > 0
-                    if weight is not None:
-                        sure &= weight[position] >= SURE
-                    sky.add(sky_mask(self.drive[number].image()) & ~sure)
-                    step()
-        return Stack(path)
-
-    def _copy(self, prior: Prior, common: set[str], place: Path) -> None:
-        """Write weight.npy, where there is confidence, then depth.npy, which marks both as done."""
-        shape = (len(self.positions), *self.drive[self.positions[0]].camera.size)
-        with ExitStack() as files:
-            depth_m = files.enter_context(StackWriter(place / "depth.npy", shape, np.float32))
-            weight = None
-            if prior.confidence_path("").parent.is_dir():
-                weight = files.enter_context(StackWriter(place / "weight.npy", shape, np.uint8))
-            step = files.enter_context(self.progress(f"maps of {prior.name}", len(self.positions)))
-            for position in self.positions:
-                depth = self._map(prior, position) if self.drive.ids[position] in common else None
-                depth_m.add(0 if depth is None else depth.depth_m)
-                if weight is not None:
-                    confidence = None if depth is None else depth.confidence
-                    weight.add(0 if confidence is None else np.rint(confidence * 255))
-                step()
-
-    def _map(self, prior: Prior, position: int) -> Depth:
-        """Read and filter a frame's map."""
-        frame = self.drive[position]
-        depth, size = prior.read(frame.id), frame.camera.size
-        if depth.depth_m.shape != size:
-            path, shape = prior.depth_path(frame.id), depth.depth_m.shape
-            raise DataError(f"{path}: {shape}, the images are {size}: build it again")
-        return self.filters(depth, frame)
+        ids = self.ids
+        return _Copied(self, source, source.stamps(ids, [ids[position] for position in test]))
 
     def _poses(self) -> npt.NDArray[np.float64]:
         """Collect the poses; DataError where one is missing, not finite, or where they break."""
@@ -256,6 +184,67 @@ class _Preparation:
             f"{self.drive.name}: the pose jumps {moved_m:.1f} m from frame {ids[cut - 1]} to {ids[cut]}, and a field "
             f"needs one path: use --frames {part}, its longest part ({end - first} of {len(ids)} frames)"
         )
+
+
+@dataclass(frozen=True)
+class _Copied:
+    """A prior's filtered maps of the frames of a preparation."""
+
+    frames: _Preparation
+    source: Maps
+    stamps: dict[str, str]
+    """What tells apart the maps of the frames that have one, by frame id."""
+
+    @property
+    def place(self) -> Path:
+        """The folder of the filtered maps."""
+        filters = json.dumps(self.frames.filters.record())
+        return self.frames.home / f"{self.source.name}-{_digest(filters, *self.stamps.values())}"
+
+    def maps(self) -> tuple[Stack, Stack | None]:
+        """Copy the maps into one file each, joined by frame id; returns depth, and confidence where there is one."""
+        if not (self.place / "depth.npy").exists():
+            self._copy()
+        weight = self.place / "weight.npy"
+        return Stack(self.place / "depth.npy"), Stack(weight) if weight.exists() else None
+
+    def sky(self) -> Stack:
+        """Tell the sky's pixels, once: where the image shows it and the prior is not sure of a surface.
+
+        Stereo and completion give the sky no confidence, mono no value; a LiDAR's value is sure.
+        """
+        path = self.place / f"sky{VERSION}.npy"
+        if not path.exists():
+            depth_m, weight = self.maps()
+            drive, positions = self.frames.drive, self.frames.positions
+            files = StackWriter(path, depth_m.shape, np.uint8)
+            with files as sky, self.frames.progress(f"sky of {drive.name}", len(positions)) as step:
+                for position, number in enumerate(positions):
+                    sure = depth_m[position] > 0
+                    if weight is not None:
+                        sure &= weight[position] >= SURE
+                    sky.add(sky_mask(drive[number].image()) & ~sure)
+                    step()
+        return Stack(path)
+
+    def _copy(self) -> None:
+        """Write weight.npy, where there is confidence, then depth.npy, which marks both as done."""
+        drive, positions = self.frames.drive, self.frames.positions
+        shape = (len(positions), *drive[positions[0]].camera.size)
+        with ExitStack() as files:
+            depth_m = files.enter_context(StackWriter(self.place / "depth.npy", shape, np.float32))
+            weight = None
+            if self.source.has_confidence:
+                weight = files.enter_context(StackWriter(self.place / "weight.npy", shape, np.uint8))
+            step = files.enter_context(self.frames.progress(f"maps of {self.source.name}", len(positions)))
+            for position in positions:
+                frame = drive[position]
+                depth = self.frames.filters(self.source.read(frame), frame) if frame.id in self.stamps else None
+                depth_m.add(0 if depth is None else depth.depth_m)
+                if weight is not None:
+                    confidence = None if depth is None else depth.confidence
+                    weight.add(0 if confidence is None else np.rint(confidence * 255))
+                step()
 
 
 def _digest(*parts: str) -> str:

@@ -23,18 +23,18 @@ from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
 from nerf.evidence.lidar import sweeps_of
 from nerf.fit import OnStep, fit
+from nerf.guide import Guide, open_guide, place_of
 from nerf.model import Model, ShowsScene
 from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
+from nerf.rate import Rate
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
-from nerf.split import split
+from nerf.split import SPARSE_STEP, in_name, split
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
-from priors import cache
-from priors.cache import Prior
 from priors.drives import poses_remark, reopen
 from priors.errors import DataError, expect
 from priors.filters import Filters
@@ -46,6 +46,8 @@ from priors.selection import select
 from priors.types import Drive
 
 FORMAT = 1
+RUNS = Path("runs")
+"""Where runs are kept unless a folder is named."""
 KEY = re.compile("-[0-9a-f]{10}$")
 """What tells a prior from others of its method, at the end of its folder's name."""
 CONFIG = "config.json"
@@ -72,26 +74,35 @@ class RunConfig:
     """What the prior passes before it is used."""
     fit: FitConfig
     """Everything else."""
+    sparse_step: int | None = None
+    """Of the frames that are not held out, every so many-th is a sparse view; None: every 4th, as earlier versions
+    had it, or other views."""
     finding: dict[str, Any] | None = None
     """What was found of the prior before the fit (nerf/evidence/finding.py); None: it was not looked for."""
 
     @classmethod
-    def of(cls, drive: Drive, prior: Prior | None, scene: SceneConfig, fit: FitConfig) -> "RunConfig":
+    def of(cls, drive: Drive, prior: Guide | None, scene: SceneConfig, fit: FitConfig) -> "RunConfig":
         """Describe a run of an open drive and an open prior."""
-        where = None if prior is None else str(prior.folder.resolve())
-        return cls(drive.describe(), where, scene.frames, scene.views, scene.filters, fit)
+        where = None if prior is None else place_of(prior)
+        positions = select(drive.ids, scene.frames)
+        step = Rate.of(drive, positions).sparse_step if scene.views == "sparse" else None
+        return cls(drive.describe(), where, scene.frames, scene.views, scene.filters, fit, step)
 
     @property
     def title(self) -> str:
         """What the run is, as its usual folder's name ends: <field>-<views>, and <loss>-<prior> where it has them."""
         loss = [self.fit.losses.loss] if fields.is_trained(self.fit.model.family) else []
         guide = [] if self.prior is None else [*loss, Path(self.prior).name]
-        return "-".join([self.fit.model.family, self.views, *guide])
+        return "-".join([self.fit.model.family, in_name(self.views), *guide])
 
     @property
     def scene(self) -> SceneConfig:
         """What the run's scene has."""
-        return SceneConfig(self.views, self.frames, self.filters)
+        return SceneConfig(self.views, self.frames, self.filters, self.sparse_step or SPARSE_STEP)
+
+    def parts(self, count: int) -> tuple[list[int], list[int]]:
+        """Part so many frames into training and held-out positions."""
+        return split(count, self.views, self.sparse_step)
 
 
 @dataclass(frozen=True)
@@ -123,7 +134,7 @@ class Run:
     @cached_property
     def checked(self) -> Checked:
         """The run's scene, and what was found of its prior."""
-        prior = None if self.config.prior is None else cache.only(Path(self.config.prior))
+        prior = None if self.config.prior is None else open_guide(self.config.prior)
         with threads.limited(None):
             home = self.folder.parent / SCENES
             before = checkpoint.origin_of(self.folder)
@@ -232,7 +243,7 @@ class Run:
 
 def begin(
     drive: Drive,
-    prior: Prior | None = None,
+    prior: Guide | None = None,
     scene: SceneConfig | None = None,
     fit: FitConfig | None = None,
     folder: Path | None = None,
@@ -246,7 +257,7 @@ def begin(
 
     Args:
         drive: its frames are learned.
-        prior: its depth guides the fit; None: colours alone.
+        prior: its depth guides the fit: a cache's, or TRUTH (nerf.guide), the drive's own; None: colours alone.
         scene: which frames, and what the prior passes.
         fit: everything that decides the outcome.
         folder: the run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>.
@@ -260,9 +271,9 @@ def begin(
         expect(prior is not None, "--align", "learn", "auto where there is no prior to align")
         family = config.fit.model.family
         expect(fields.aligns(family), "--align", "learn", f"auto or none: --field {family} learns nothing of a prior")
-    split(len(select(drive.ids, config.frames)), config.views)  # what cannot be is told before a folder is made
+    config.parts(len(select(drive.ids, config.frames)))  # what cannot be is told before a folder is made
     if folder is None:
-        folder = Path("runs") / f"{drive.name}-{config.title}"
+        folder = RUNS / f"{drive.name}-{config.title}"
     return replace(claim(folder, config), progress=progress, source=drive)
 
 
@@ -279,6 +290,8 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     _refuse_taken(folder)
     before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
     config = earlier(config, before)  # what an earlier version began goes on as it was
+    if before.sparse_step is None:
+        config = replace(config, sparse_step=None)  # it had every 4th frame
     if _comparable(before) != _comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):

@@ -20,11 +20,12 @@ from eval.protocol import ScoreError
 from nerf.config import FitConfig
 from nerf.fields import is_trained
 from nerf.fit import OnStep
+from nerf.guide import open_guide
 from nerf.losses import DepthLoss
 from nerf.prepare import ProgressBar, SceneConfig, silent
 from nerf.report import Report
 from nerf.run import Run, RunConfig, claim
-from priors import cache
+from nerf.split import in_name
 from priors.errors import DataError, UsageError
 from priors.filters import Filters
 from priors.records import upgrade
@@ -43,9 +44,9 @@ class RunSpec:
     field: str
     """Family of the field: ngp, mip360 or nerfpp."""
     views: str
-    """dense, sparse or a number of training views."""
+    """dense, sparse, a share 1/N or a number of training views."""
     prior: str
-    """A prior's folder, or none."""
+    """A prior's folder, truth, or none."""
     loss: str | None = None
     """Depth loss; None without a prior, as are all that follow, and in a field that is not trained."""
     clip: float | None = None
@@ -63,13 +64,13 @@ class RunSpec:
 
     @property
     def prior_name(self) -> str:
-        """The prior's folder name, or none."""
+        """The prior's folder name, truth, or none."""
         return Path(self.prior).name
 
     @property
     def name(self) -> str:
         """Folder of the run: what differs from the defaults, in a fixed order."""
-        parts = [self.field, self.views, self.prior_name, self.loss or ""]
+        parts = [self.field, in_name(self.views), self.prior_name, self.loss or ""]
         parts += [f"{key}{getattr(self, key):.10g}" for key in SHARES if getattr(self, key) is not None]
         return "-".join([part for part in parts if part] + ["masked"] * self.truth_mask + [f"seed{self.seed}"])
 
@@ -89,11 +90,11 @@ class Study:
     """Every combination of what is listed; a run without a prior has neither loss nor filter and is made once."""
 
     priors: tuple[str, ...] = (NONE,)
-    """Folders of priors in a cache, and `none`."""
+    """Folders of priors in a cache, `truth` and `none`."""
     losses: tuple[str, ...] = ("l1",)
     """Depth losses."""
     views: tuple[str, ...] = ("dense", "sparse")
-    """Training views: dense, sparse or a number."""
+    """Training views: dense, sparse, a share 1/N or a number."""
     fields: tuple[str, ...] = ("ngp",)
     """Families of fields."""
     clips: tuple[float | None, ...] = (None,)
@@ -186,7 +187,7 @@ class FitRunner:
         loss = cast("DepthLoss", spec.loss or "none")
         model, losses = replace(self.fit.model, family=spec.field), replace(self.fit.losses, loss=loss)
         fitted = replace(self.fit, model=model, losses=losses, seed=spec.seed)
-        prior = None if spec.prior == NONE else cache.only(Path(spec.prior))
+        prior = None if spec.prior == NONE else open_guide(spec.prior)
         scene = SceneConfig(spec.views, self.frames, spec.filters())
         run = claim(folder, RunConfig.of(self.drive, prior, scene, fitted), same_budget=True)
         return replace(run, progress=self.progress, source=self.drive)

@@ -20,6 +20,7 @@ from eval.protocol import ScoreError
 from eval.result import refuse_to_mix
 from eval.typeset import Column, Table
 from nerf.baseline import unbeaten
+from nerf.guide import TRUTH
 from nerf.report import Report
 from nerf.study import NONE, SHARES, Outcome, RunSpec
 from priors import cache
@@ -166,12 +167,13 @@ def density_curves(outcomes: Sequence[Outcome]) -> dict[str, list[Line]]:
 
 def prior_labels(specs: Sequence[RunSpec]) -> dict[str, str]:
     """Name each prior shortly, each differently; by its folder where that cannot be read any more."""
-    priors = list(dict.fromkeys(spec.prior for spec in specs if spec.prior != NONE))
+    own = {NONE: NONE, TRUTH.name: TRUTH.name}
+    priors = list(dict.fromkeys(spec.prior for spec in specs if spec.prior not in own))
     try:
         names = labels([cache.load(Path(prior)) for prior in priors])
     except DataError:
         names = [Path(prior).name for prior in priors]
-    return {NONE: NONE, **dict(zip(priors, names, strict=True))}
+    return {**own, **dict(zip(priors, names, strict=True))}
 
 
 def _write(spec: RunSpec, key: str) -> str:

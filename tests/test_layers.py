@@ -31,6 +31,7 @@ ROOMS = [
     "priors/refined_poses",
     "priors/drives",
     "priors/places",
+    "priors/sequences",
     "priors/pairs",
     "priors/egomotion",
     "priors/filters",

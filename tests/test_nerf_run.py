@@ -94,7 +94,7 @@ def test_a_run_is_named_after_what_it_is(street: Path, tmp_path: Path, monkeypat
     monkeypatch.chdir(tmp_path)
     made = begin(open_drive(street), scene=SceneConfig(views="sparse"), fit=config())
     assert made.folder == Path("runs") / f"{open_drive(street).name}-ngp-sparse"
-    with pytest.raises(DataError, match="expected dense, sparse or a number"):
+    with pytest.raises(DataError, match="expected dense, sparse, a share"):
         _ = begin(open_drive(street), scene=SceneConfig(views="x"), fit=config()).scene
 
 

@@ -7,12 +7,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from nerf.prepare import SceneConfig, open_scene
 from nerf.scene import Scene, view_rays
-from nerf.split import split
 from priors import cache
 from priors.cache import Prior
 from priors.errors import DataError
@@ -68,33 +65,6 @@ def flat(value: float) -> np.ndarray:
 
 def scene(folder: Path, drive: Drive, made: Prior | None, views: str = "dense", **options: Any) -> Scene:
     return open_scene(drive, made, SceneConfig(views, **options), folder)
-
-
-def test_the_study_s_split() -> None:
-    train, held_out = split(40, "dense")
-    assert held_out == [9, 19, 29, 39]
-    assert len(train) == 36 and not set(train) & set(held_out)
-    assert split(40, "sparse")[0] == train[::4]
-    assert split(40, "sparse")[1] == held_out
-
-
-@given(st.integers(1, 300), st.integers(1, 40))
-def test_n_views_are_spread_evenly(count: int, wanted: int) -> None:
-    rest = split(count, "dense")[0]
-    if wanted > len(rest):
-        with pytest.raises(DataError, match="--views"):
-            split(count, str(wanted))
-        return
-    train, held_out = split(count, str(wanted))
-    assert len(set(train)) == wanted and set(train) <= set(rest) and not set(train) & set(held_out)
-    places = [rest.index(position) for position in train]
-    assert max(np.diff(places), default=0) - min(np.diff(places), default=0) <= 1
-
-
-@pytest.mark.parametrize("views", ["", "all", "0", "-3", "1.5"])
-def test_other_views_are_refused(views: str) -> None:
-    with pytest.raises(DataError, match="--views"):
-        split(20, views)
 
 
 def test_rays_lead_back_to_their_pixels(tmp_path: Path) -> None:

@@ -170,7 +170,7 @@ def test_bending_keeps_lengths_near_the_centre_line_and_can_be_located(seed, s, 
     here, ahead, aside = path.bend(np.array([[s, 0, 0], [s + 0.5, 0, 0], [s, t, 0]]))
     assert np.linalg.norm(ahead - here) == pytest.approx(0.5, rel=2e-3)
     assert np.linalg.norm(aside - here) == pytest.approx(abs(t), abs=1e-6)
-    assert path.locate(here[:1])[0][0] == pytest.approx(s, abs=1e-3)
+    assert path.locate(here[:1], here[1:2])[0][0] == pytest.approx(s, abs=1e-3)
 
 
 @given(st.integers(0, 10_000))

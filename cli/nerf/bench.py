@@ -8,10 +8,11 @@ from typing import Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse
+from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName, seconds
+from cli.nerf.sources import named_priors
 from eval import typeset
 from nerf.bench import results
 from nerf.bench.curve import Curve, Entrant
@@ -19,9 +20,9 @@ from nerf.bench.marks import Mark, ascending
 from nerf.bench.race import Race
 from nerf.config import MOST_STEPS, FitConfig
 from nerf.fields import is_trained
+from nerf.guide import TRUTH
 from nerf.split import HELD_OUT, check_views
 from nerf.study import NONE, FitRunner, Study
-from priors import cache
 from priors.errors import LARGEST_SEED, expect_between
 from priors.selection import parse_range
 
@@ -37,15 +38,15 @@ examples:
 
 
 @dataclass(frozen=True)
-class BenchArguments(ThreadArguments, DriveArguments):
+class BenchArguments(ThreadArguments, SequenceArguments):
     """Arguments of `nerf bench`."""
 
     priors: tuple[Path, ...] = (Path(NONE),)
-    """Priors' folders, folders that hold several, and none: colours alone."""
+    """Priors' folders, folders that hold several, truth: the drive's own maps, and none: colours alone."""
     loss: tuple[Literal["mse", "l1", "kl", "urf"], ...] = ("l1",)
     """Depth losses."""
     views: tuple[str, ...] = ("sparse",)
-    """Training views: dense, sparse or numbers."""
+    """Training views: dense, sparse, shares (1/8: every 8th) or numbers."""
     field: tuple[FieldName, ...] = ("ngp", "mip360", "nerfpp", "warp")
     """Families of fields; the warp, which is not trained, takes part where there is a prior."""
     seed: tuple[int, ...] = (0,)
@@ -71,7 +72,7 @@ class BenchArguments(ThreadArguments, DriveArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.marks(), self.fit()
-        parse_range(self.frames)
+        parse_range(self.frame_range(self.frames))
         for views in self.views:
             check_views(views)
         for seed in self.seed:
@@ -91,15 +92,13 @@ class BenchArguments(ThreadArguments, DriveArguments):
 
     def entrants(self) -> list[Entrant]:
         """List the fits that were asked for."""
-        folders = [
-            [NONE] if str(path) == NONE else [str(prior.folder) for prior in cache.find(path)] for path in self.priors
-        ]
-        priors = tuple(name for several in folders for name in several)
+        priors = named_priors(self.priors)
         grid = Study(priors, self.loss, self.views, self.field, seeds=self.seed)
         specs = grid.runs()
         if self.ceiling:
             trained = tuple(name for name in self.field if is_trained(name))
-            specs += Study(priors, self.loss, (HELD_OUT,), trained, seeds=self.seed[:1]).runs()
+            known = tuple(name for name in priors if name != TRUTH.name) or (NONE,)  # its held-out maps are not used
+            specs += Study(known, self.loss, (HELD_OUT,), trained, seeds=self.seed[:1]).runs()
         marks = self.marks()
         each = [(mark,) for mark in marks] if self.budgets else [marks]
         return list(dict.fromkeys(Entrant.of(spec, self.fit(), own) for spec in specs for own in each))
@@ -117,7 +116,9 @@ def run(arguments: list[str]) -> int:
 
 def _bench(args: BenchArguments, command: str) -> int:
     drive, entrants = args.open(["nerf", "bench"]), args.entrants()
-    runner = FitRunner(drive, args.fit(), args.frames, args.device, args.lpips.open(), progress, fit_progress)
+    runner = FitRunner(
+        drive, args.fit(), args.frame_range(args.frames), args.device, args.lpips.open(), progress, fit_progress
+    )
     race = Race(runner, args.out, entrants)
     err.print(str(race.warm_up()))
     curves = race.run(_tell)

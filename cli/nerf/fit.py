@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, parse
+from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import busy, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
@@ -15,11 +15,15 @@ from nerf.checkpoint import Spent
 from nerf.config import Align, FitConfig, ModelConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
-from nerf.run import Run, RunConfig, begin
+from nerf.rate import Rate
+from nerf.run import RUNS, Run, RunConfig, begin
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
+from nerf.split import SPARSE_STEP
 from priors.errors import UsageError, expect
 from priors.filters import Filters
+from priors.selection import select
+from priors.types import Drive
 
 EXAMPLES = """Train a field on a drive and score its held-out views (every 10th frame). Runs resume where they stopped.
 
@@ -40,14 +44,15 @@ else:
 
 
 @dataclass(frozen=True)
-class FitArguments(ThreadArguments, DriveArguments):
+class FitArguments(ThreadArguments, SequenceArguments):
     """Arguments of `nerf fit`."""
 
     prior: Path | None = None
     """A prior's folder in the cache, or a folder that holds several: the one that suits best is taken, and said.
-    auto: cache/. Default: colours alone."""
+    auto: cache/. truth: the drive's own true depth, but of held-out frames. Default: colours alone."""
     views: str = "dense"
-    """Training views: dense (all that are not held out), sparse (every 4th of them) or a number."""
+    """Training views: dense (all that are not held out), sparse (2.5 Hz: every 4th of them where the drive has 10),
+    a share (1/8: every 8th) or a number."""
     frames: str | None = None
     """Range of frames, a:b."""
     time: str = "60s"
@@ -66,7 +71,7 @@ class FitArguments(ThreadArguments, DriveArguments):
     device: Device = "auto"
     """Where to train and render; auto: a GPU where there is one."""
     run: Path | None = None
-    """The run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>."""
+    """The run's folder; default: runs/<drive or sequence>-<field>-<views>-<loss>-<prior>."""
     losses: tyro.conf.OmitArgPrefixes[LossConfig] = field(default_factory=LossConfig)
     sampler: tyro.conf.OmitArgPrefixes[SamplerConfig] = field(default_factory=SamplerConfig)
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
@@ -80,7 +85,7 @@ class FitArguments(ThreadArguments, DriveArguments):
 
     def scene(self) -> SceneConfig:
         """Return which frames are used, and what of the prior."""
-        return SceneConfig(self.views, self.frames, self.filters)
+        return SceneConfig(self.views, self.frame_range(self.frames), self.filters)
 
     def config(self) -> FitConfig:
         """Return what decides the fit's outcome."""
@@ -105,7 +110,10 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
     with busy("looking at the drive and its priors"):
         drive, prior = open_sources(args, args.prior, typed)
-    this_run = begin(drive, prior, args.scene(), args.config(), args.run, progress)
+    scene, config, folder = args.scene(), args.config(), args.run
+    if folder is None and args.sequence is not None:  # sequences of one drive are told apart
+        folder = RUNS / f"{args.sequence}-{RunConfig.of(drive, prior, scene, config).title}"
+    this_run = begin(drive, prior, scene, config, folder, progress)
     with this_run.held():
         return _fit_and_score(args, this_run)
 
@@ -113,7 +121,7 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
 def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     err.print(f"run: {this_run.folder}")
     scene, before = this_run.scene, checkpoint.spent(this_run.folder)
-    _tell(scene, this_run.config, before)
+    _tell(scene, this_run, before)
     finding = this_run.checked.finding
     prior = this_run.config.prior
     for line in [] if finding is None else finding.told(None if prior is None else Path(prior).name):
@@ -130,16 +138,25 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     return 0
 
 
-def _tell(scene: Scene, config: RunConfig, before: Spent) -> None:
+def _tell(scene: Scene, run: Run, before: Spent) -> None:
     """Say what is about to be trained: on what, by what, for how long."""
+    drive, config = run.drive, run.config
     height, width = scene.camera.size
     views = f"{len(scene.train)} of {len(scene.ids)} frames train, {len(scene.test)} are held out"
-    err.print(f"views: {scene.name}, {width}x{height}: {views}")
+    err.print(f"views: {scene.name}, {width}x{height}: {views}{_pace(drive, config)}")
     if scene.origin_m != origin.NONE:
         err.print(f"origin: {origin.told(scene.origin_m)} m is taken off, and put back on what is written")
     err.print(f"field: {config.fit.model.family}, {_guide(config)}; {_budget(config.fit, before)}")
     if len(scene.train) == 1:
         err.print("one training view: colours tell nothing about depth there; only a prior does")
+
+
+def _pace(drive: Drive, config: RunConfig) -> str:
+    """Say what sparse views are here; nothing of others."""
+    if config.views != "sparse":
+        return ""
+    rate = Rate.of(drive, select(drive.ids, config.frames))
+    return f" (sparse: step {config.sparse_step or SPARSE_STEP} at {rate})"
 
 
 def _guide(config: RunConfig) -> str:

@@ -6,6 +6,8 @@ from pathlib import Path
 
 from cli.arguments import DriveArguments, by_drive, find_priors, folders_to_name, reopen_drive
 from cli.console import err
+from nerf.guide import TRUTH, Guide
+from nerf.study import NONE
 from priors.advice import PriorAdvice, advise_prior
 from priors.cache import Prior
 from priors.drives import poses_of
@@ -17,12 +19,19 @@ AUTO = Path("auto")
 CACHE = Path("cache")
 
 
-def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str]) -> tuple[Drive, Prior | None]:
+def named_priors(paths: Sequence[Path]) -> tuple[str, ...]:
+    """Return what a study's priors are called: their folders, truth and none; a folder of several counts as all."""
+    own = (NONE, TRUTH.name)
+    found = [[str(path)] if str(path) in own else [str(each.folder) for each in find_priors(path)] for path in paths]
+    return tuple(name for several in found for name in several)
+
+
+def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str]) -> tuple[Drive, Guide | None]:
     """Open the drive and the prior of a fit, and say what was chosen where the user named neither.
 
     Args:
         args: where the drive is; without DATA it is the prior's, else the only one here or below.
-        prior: a prior's folder, or one that holds several; None: colours alone.
+        prior: a prior's folder, or one that holds several; truth: the drive's own maps; None: colours alone.
         typed: program, command and flags, to repeat where there is something to choose.
 
     Raises:
@@ -30,8 +39,10 @@ def open_sources(args: DriveArguments, prior: Path | None, typed: Sequence[str])
     """
     if prior is None:
         return args.open(typed), None
+    if str(prior) == TRUTH.name:
+        return args.open(typed), TRUTH
     priors = find_priors(CACHE if prior == AUTO else prior)
-    if args.data is not None:
+    if args.names_drive:
         drive = args.open()
         own = [one for one in priors if one.manifest.get("fingerprint") == drive.fingerprint()]
         return drive, _choose(own or priors, drive)

@@ -8,15 +8,17 @@ from typing import Literal
 
 import tyro
 
-from cli.arguments import Device, DriveArguments, ThreadArguments, find_priors, parse
+from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName, seconds
+from cli.nerf.sources import named_priors
 from eval import typeset
 from nerf import study_table
 from nerf.config import FitConfig
+from nerf.guide import TRUTH, TrueMaps
 from nerf.losses import LossConfig
-from nerf.split import check_views, split
+from nerf.split import check_views, held_out, split
 from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, run_study
 from priors.errors import LARGEST_SEED, expect_between
 from priors.filters import Filters
@@ -32,17 +34,19 @@ examples:
   nerf study street/ --priors none cache/DRIVE/completion-KEY --density 0.01 0.05 0.2 1 --time 30s
 """
 
+STUDY = Path("study")
+
 
 @dataclass(frozen=True)
-class StudyArguments(ThreadArguments, DriveArguments):
+class StudyArguments(ThreadArguments, SequenceArguments):
     """Arguments of `nerf study`."""
 
     priors: tuple[Path, ...] = (Path(NONE),)
-    """Priors' folders, folders that hold several, and none: colours alone."""
+    """Priors' folders, folders that hold several, truth: the drive's own maps, and none: colours alone."""
     loss: tuple[Literal["mse", "l1", "kl", "urf"], ...] = ("mse",)
     """Depth losses."""
     views: tuple[str, ...] = ("dense", "sparse")
-    """Training views: dense, sparse or numbers."""
+    """Training views: dense, sparse, shares (1/8: every 8th) or numbers."""
     field: tuple[FieldName, ...] = ("ngp",)
     """Families of fields."""
     clip: tuple[float, ...] = ()
@@ -66,14 +70,14 @@ class StudyArguments(ThreadArguments, DriveArguments):
     device: Device = "auto"
     """Where to train and render; auto: a GPU where there is one."""
     losses: tyro.conf.OmitArgPrefixes[tyro.conf.Suppress[LossConfig]] = made_by(default_factory=LossConfig)
-    out: Path = Path("study")
-    """The study's folder."""
+    out: Path = STUDY
+    """The study's folder; default with --sequence: study/<sequence>."""
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = made_by(default_factory=LpipsArguments)
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self.fit()
-        parse_range(self.frames)
+        parse_range(self.frame_range(self.frames))
         for views in self.views:
             check_views(views)
         for seed in self.seed:
@@ -81,6 +85,11 @@ class StudyArguments(ThreadArguments, DriveArguments):
         for name in SHARES:
             for value in vars(self)[name]:
                 Filters(**{name: value})
+
+    @property
+    def folder(self) -> Path:
+        """The study's folder: sequences of one drive lie apart."""
+        return self.out / self.sequence if self.sequence is not None and self.out == STUDY else self.out
 
     def fit(self) -> FitConfig:
         """Return what all fits have in common."""
@@ -90,12 +99,9 @@ class StudyArguments(ThreadArguments, DriveArguments):
 
     def grid(self) -> Study:
         """Return the grid that was asked for."""
-        folders = [
-            [NONE] if str(path) == NONE else [str(prior.folder) for prior in find_priors(path)] for path in self.priors
-        ]
         masks = {"no": (False,), "yes": (True,), "both": (False, True)}[self.truth_mask]
         return Study(
-            priors=tuple(name for several in folders for name in several),
+            priors=named_priors(self.priors),
             losses=self.loss,
             views=self.views,
             fields=self.field,
@@ -120,19 +126,24 @@ def run(arguments: list[str]) -> int:
 
 def _make(args: StudyArguments, command: str) -> int:
     drive, grid = args.open(["nerf", "study"]), args.grid()
-    count = len(select(drive.ids, args.frames))
+    positions = select(drive.ids, args.frame_range(args.frames))
     for views in args.views:  # what no run can have is told before the first
-        split(count, views)
+        split(len(positions), views)
+    if TRUTH.name in grid.priors:
+        ids = [drive.ids[position] for position in positions]
+        TrueMaps(drive).stamps(ids, [ids[position] for position in held_out(len(ids))])
 
     def command_of(spec: RunSpec, folder: Path) -> str:
         return _command(args, spec, folder)
 
     lpips = args.lpips.open()
-    runner = FitRunner(drive, args.fit(), args.frames, args.device, lpips, progress, fit_progress, command_of)
-    outcomes = run_study(grid, args.out, runner, runner.settings, _tell)
+    runner = FitRunner(
+        drive, args.fit(), args.frame_range(args.frames), args.device, lpips, progress, fit_progress, command_of
+    )
+    outcomes = run_study(grid, args.folder, runner, runner.settings, _tell)
     laid = study_table.lay_out(outcomes)
     out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
-    for path in study_table.save(outcomes, args.out, command):
+    for path in study_table.save(outcomes, args.folder, command):
         out.print(f"wrote {path}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0
 
@@ -146,18 +157,8 @@ def _tell(outcome: Outcome) -> None:
 
 def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     """Write the command that makes one run alone."""
-    data = [] if args.data is None else [str(args.data)]
-    parts = [
-        "nerf",
-        "fit",
-        *data,
-        "--field",
-        spec.field,
-        "--views",
-        spec.views,
-        "--run",
-        str(folder),
-    ]
+    parts = ["nerf", "fit", *args.typed_drive()]
+    parts += ["--field", spec.field, "--views", spec.views, "--run", str(folder)]
     parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
     parts += ["--frames", args.frames] if args.frames else []
     if spec.prior != NONE:

@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, field, make_dataclass
+from dataclasses import dataclass, field, make_dataclass, replace
 from glob import escape
 from pathlib import Path
 from typing import Any, Literal
@@ -11,7 +11,7 @@ import tyro
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
-from cli.arguments import DriveArguments, ThreadArguments, parse
+from cli.arguments import SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, busy, err, out, progress
 from priors import build, methods
 from priors.advice import advise_method
@@ -41,7 +41,7 @@ examples:
 
 
 @dataclass(frozen=True)
-class BuildArguments(ThreadArguments, DriveArguments):
+class BuildArguments(ThreadArguments, SequenceArguments):
     """Arguments of `priors build` that do not depend on which methods there are."""
 
     method: Literal["auto", *methods.names()] | None = None  # type: ignore[valid-type]
@@ -58,6 +58,11 @@ class BuildArguments(ThreadArguments, DriveArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         expect_between(1, self.workers, MOST_THREADS, "--workers")
+        self.chosen()
+
+    def chosen(self) -> Selection:
+        """Return which frames to work on."""
+        return replace(self.selection, frames=self.frame_range(self.selection.frames))
 
     def settings(self, method: str) -> Method:
         """Return a method's settings; a subclass has a field for each method."""
@@ -93,13 +98,13 @@ def _build(args: BuildArguments, typed: list[str]) -> int:
 def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
     """Open the drive, decide what is left open, and find out what is to be computed."""
     drive = args.open(["priors", "build", *typed])
-    indices = select(drive.ids, args.selection.frames)  # wrong frames are told before anything is compiled
+    indices = select(drive.ids, args.chosen().frames)  # wrong frames are told before anything is compiled
     method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
     job = build.prepare(drive, args.settings(method), args.filters, args.cache)
     for flag, reader in _unread_flags(job.method, typed).items():
         err.print(f"{flag}: not used here: it is read with {reader}")
     _tell_of_unused(job)
-    return job, job.plan(args.selection)
+    return job, job.plan(args.chosen())
 
 
 def _tell_of_unused(job: Job) -> None:

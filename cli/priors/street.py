@@ -11,7 +11,7 @@ from cli.arguments import parse
 from cli.console import out, progress
 from priors.errors import LARGEST_SEED, UsageError, expect, expect_between
 from priors.machine.threads import MOST_THREADS
-from priors.street.write import write_street
+from priors.street.write import Asked, Corner, write_drive
 
 EXAMPLES = """Write the embedded street as a KITTI raw drive: stereo pairs, LiDAR, poses, exact depth and sky.
 
@@ -19,6 +19,7 @@ examples:
   priors street street/
   priors street street/ --frames 40 --seed 7 --size 1242x375
   priors street small/ --frames 10 --size 320x96
+  priors street corner/ --corner left                     a drive that turns by 90 degrees
 """
 LARGEST_SIDE_PX = 16384
 
@@ -35,6 +36,8 @@ class StreetArguments:
     """Which street: the same seed gives the same bytes."""
     size: str = "1242x375"
     """Image size, width x height, pixels."""
+    corner: Corner = "none"
+    """Where the street turns by 90 degrees; 40 frames drive around it."""
     workers: int = os.cpu_count() or 1
     """Frames rendered at the same time."""
 
@@ -52,7 +55,8 @@ def run(arguments: list[str]) -> int:
     """Write the street; returns the exit code."""
     args = parse(StreetArguments, "priors street", EXAMPLES, arguments)
     with progress("street", args.frames) as step:
-        drive = write_street(args.out, args.frames, args.seed, _size(args.size), step, args.workers)
+        asked = Asked(args.frames, args.seed, _size(args.size), args.corner)
+        drive = write_drive(args.out, asked, step, args.workers)
     out.print(f"wrote {drive}")
     return 0
 

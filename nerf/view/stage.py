@@ -1,14 +1,12 @@
 """Stage: what a run's view has beside the field - its drive's cameras, and its prior's points where they are there."""
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, TypeAlias
 
 import numpy as np
 
+from nerf.guide import Truth, open_guide
 from nerf.run import Run
-from nerf.split import split
-from priors import cache
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.selection import select
@@ -19,6 +17,7 @@ from priors.view.track import Track
 Part: TypeAlias = Literal["trained on", "held out", "not used"]
 """What a frame is to the run."""
 PRIOR = "prior"
+NO_POINTS = "the run's prior is the drive's own truth: its points are not shown"
 USUAL = Camera(np.array([[230.0, 0, 198], [0, 230, 59.5], [0, 0, 1]]), (120, 397))
 """Where nothing is known of the run's own camera."""
 
@@ -62,7 +61,7 @@ def open_stage(run: Run, frames: str | None = None, most_points: int = MOST_POIN
     wanted = set(select(drive.ids, frames)) & posed
     if not wanted:
         return _start(f"{drive.name}: none of these frames has a pose")
-    parts = dict(zip(indices, _parts(len(indices), run.config.views), strict=True))
+    parts = dict(zip(indices, _parts(run, len(indices)), strict=True))
     priors, remarks = _prior(run)
     scene = DriveScene(drive, sorted(wanted), priors, most_points)
     return Stage(scene.frame(0).camera, scene.track, [parts[index] for index in scene.indices], scene, remarks)
@@ -73,7 +72,8 @@ def _prior(run: Run) -> tuple[dict[str, Prior], tuple[str, ...]]:
     if run.config.prior is None:
         return {}, ()
     try:
-        return {PRIOR: cache.only(Path(run.config.prior))}, ()
+        guide = open_guide(run.config.prior)
+        return ({}, (NO_POINTS,)) if isinstance(guide, Truth) else ({PRIOR: guide}, ())
     except (DataError, OSError) as error:
         return {}, (f"the prior cannot be opened: {error}",)
 
@@ -83,7 +83,7 @@ def _without_drive(run: Run, frames: str | None, reason: str) -> Stage:
     views = run.kept_cameras()
     if views is None:
         return _start(reason)
-    parts = dict(zip(views.ids, _parts(len(views.ids), run.config.views), strict=True))
+    parts = dict(zip(views.ids, _parts(run, len(views.ids)), strict=True))
     shown = views.only(frames)
     poses = list(shown.T_world_cam)
     track = Track(shown.ids, poses, poses[0][:3, 3].copy(), True)
@@ -96,7 +96,7 @@ def _start(reason: str) -> Stage:
     return Stage(USUAL, track, ["not used"], None, (reason, "no camera is known: the view begins at the origin"))
 
 
-def _parts(count: int, views: str) -> list[Part]:
-    train, test = split(count, views)
+def _parts(run: Run, count: int) -> list[Part]:
+    train, test = run.config.parts(count)
     trained, held_out = set(train), set(test)
     return ["trained on" if i in trained else "held out" if i in held_out else "not used" for i in range(count)]

@@ -82,6 +82,8 @@ class StreetConfig:
     """Mean distance between oncoming cars."""
     walkers: int = 2
     """Moving people; others stand still."""
+    turn: int = 0
+    """Where the street turns by 90 degrees: 1 = to the left, -1 = to the right, 0 = nowhere (corner.py)."""
 
     def __post_init__(self) -> None:
         values = vars(self)
@@ -94,6 +96,7 @@ class StreetConfig:
         for name, widths_m in {"parking_m": self.parking_m, "pavement_m": self.pavement_m}.items():
             expect(min(widths_m) >= 0, f"street: {name}", widths_m, "0 or more")
         expect(all(0 <= share <= 1 for share in self.built_share), "street: built_share", self.built_share, "0 to 1")
+        expect(self.turn in (-1, 0, 1), "street: turn", self.turn, "-1, 0 or 1")
         expect(1 <= self.floors[0] <= self.floors[1], "street: floors", self.floors, "1 or more, the smaller first")
 
     @classmethod

@@ -28,8 +28,10 @@ def road(config: StreetConfig, s: tuple[float, float]) -> Mesh:
     return strip(s, (-config.kerb_m(-1), config.kerb_m(1)), (0.0, 0.0), Finish(Material.ASPHALT, ASPHALT_TINT))
 
 
-def block_side(config: StreetConfig, s: tuple[float, float], side: int, garden: bool, key: float) -> list[Mesh]:
-    """Make kerb, pavement and the lots behind it along one side of a block."""
+def block_side(
+    config: StreetConfig, s: tuple[float, float], side: int, garden: bool, key: float, lot_m: float = LOT_M
+) -> list[Mesh]:
+    """Make kerb, pavement and the lots behind it, as far as lot_m from the centre line, along one side of a block."""
     kerb, front, h = config.kerb_m(side), config.front_m(side), KERB_HEIGHT_M
     inner = kerb + KERB_M
     lot = (Material.GRASS, GRASS_TINT) if garden else (Material.PAVEMENT, SLAB_TINT)
@@ -37,16 +39,14 @@ def block_side(config: StreetConfig, s: tuple[float, float], side: int, garden: 
         strip(s, (side * kerb, side * (kerb + 0.015)), (0.0, h), Finish(Material.KERB, KERB_TINT, key)),
         strip(s, (side * (kerb + 0.015), side * inner), (h, h), Finish(Material.KERB, KERB_TINT, key)),
         strip(s, (side * inner, side * front), (h, h), Finish(Material.PAVEMENT, SLAB_TINT, key)),
-        strip(s, (side * front, side * LOT_M), (h, h), Finish(*lot, key)),
-        *_returns(s, side, kerb, h),
+        strip(s, (side * front, side * lot_m), (h, h), Finish(*lot, key)),
+        *_returns(s, (side * kerb, side * lot_m), h),
     ]
 
 
-def _returns(s: tuple[float, float], side: int, kerb: float, height: float) -> list[Mesh]:
-    """Make the kerbs along the side streets at both ends of a block."""
-    faces = [
-        [(x, side * kerb, 0), (x, side * LOT_M, 0), (x, side * LOT_M, height), (x, side * kerb, height)] for x in s
-    ]
+def _returns(s: tuple[float, float], t: tuple[float, float], height: float) -> list[Mesh]:
+    """Make the kerbs along the side streets at both ends of a block, from t[0] to t[1]."""
+    faces = [[(x, t[0], 0), (x, t[1], 0), (x, t[1], height), (x, t[0], height)] for x in s]
     return [mesh.quads(faces, Finish(Material.KERB, KERB_TINT))]
 
 

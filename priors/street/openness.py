@@ -26,17 +26,17 @@ class Openness:
         self._start_m = 20.0 - BEHIND_M
         s = np.arange(self._start_m, config.length_m + 20, GRID_STEP_M)
         t = np.arange(-HALF_WIDTH_M, HALF_WIDTH_M + 0.1, GRID_STEP_M)
-        x, y, z = path.centre(s)
-        grid = np.stack(np.broadcast_arrays(x, y + t[:, None], z + LEVELS_M[:, None, None]), axis=-1)
+        x, y, z = path.grid(s, t)
+        grid = np.stack(np.broadcast_arrays(x, y, z + LEVELS_M[:, None, None]), axis=-1)
         self._sides, self._columns = len(t), len(s)
         self._atlas = _sky_share(caster, grid.reshape(-1, 3).astype(np.float32)).reshape(-1, self._columns)
 
     def at(self, place: Floats, normal: Floats) -> Floats:
         """Return the share of the sky (n,) that surfaces at places (n, 3) with unit normals (n, 3) see."""
         reach = place + np.float32(PROBE_M) * normal
-        s, centre_y, centre_z = self._path.locate(reach[:, 0])
+        s, t, centre_z = self._path.locate(reach[:, 0], reach[:, 1])
         column = np.clip((s - self._start_m) / GRID_STEP_M, 0, self._columns - 1)
-        row = np.clip((reach[:, 1] - centre_y + HALF_WIDTH_M) / GRID_STEP_M, 0, self._sides - 1)
+        row = np.clip((t + HALF_WIDTH_M) / GRID_STEP_M, 0, self._sides - 1)
         level = np.interp(reach[:, 2] - centre_z, LEVELS_M, np.arange(len(LEVELS_M)))
         low = np.minimum(level.astype(np.int64), len(LEVELS_M) - 2)
         share = (level - low).astype(np.float32)

@@ -23,14 +23,17 @@ class Path:
         rng = np.random.default_rng([config.seed, 2])
         self._s = np.arange(-BEHIND_M - 20, config.length_m + 900, CURVE_STEP_M)
         phase = rng.uniform(0, 2 * np.pi, 3)
-        wave = 2 * np.pi / config.bend_wave_m
-        heading = config.bend_rad * (np.sin(wave * self._s + phase[0]) + 0.5 * np.sin(0.41 * wave * self._s + phase[1]))
-        slope = config.slope * np.sin(1.3 * wave * self._s + phase[2])
+        heading = self._headings(config, phase)
+        slope = config.slope * np.sin(1.3 * 2 * np.pi / config.bend_wave_m * self._s + phase[2])
         self._heading = heading
         self._x, self._y = (self._integrate(f(heading)) for f in (np.cos, np.sin))
         self._z = self._integrate(slope)
         self._slope = slope
         self._table = np.stack([self._x, self._y, self._z, np.cos(heading), np.sin(heading)], axis=-1)
+
+    def _headings(self, config: StreetConfig, phase: Values) -> Values:
+        wave = 2 * np.pi / config.bend_wave_m
+        return config.bend_rad * (np.sin(wave * self._s + phase[0]) + 0.5 * np.sin(0.41 * wave * self._s + phase[1]))
 
     def _integrate(self, rate: Values) -> Values:
         total = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * CURVE_STEP_M)])
@@ -58,10 +61,15 @@ class Path:
         """Return x, y and z of the centre line at s."""
         return self._at(s_m, self._x), self._at(s_m, self._y), self._at(s_m, self._z)
 
-    def locate(self, x_m: npt.ArrayLike) -> tuple[Values, Values, Values]:
-        """Return s, y and z of the centre line where it has a world x: the street never turns far from x."""
-        x = np.asarray(x_m)
-        return np.interp(x, self._x, self._s), np.interp(x, self._x, self._y), np.interp(x, self._x, self._z)
+    def grid(self, s_m: Values, t_m: Values) -> tuple[Values, Values, Values]:
+        """Return x (s,) and y (t, s) of places beside the centre line, and its z (s,): the street keeps to x."""
+        x, y, z = self.centre(s_m)
+        return x, y + t_m[:, None], z
+
+    def locate(self, x_m: Values, y_m: Values) -> tuple[Values, Values, Values]:
+        """Return s and t of places (n,), and z of the centre line there: the street never turns far from x."""
+        s, y, z = (np.interp(x_m, self._x, of) for of in (self._s, self._y, self._z))
+        return s, y_m - y, z
 
     def _at(self, s_m: npt.ArrayLike, of: Values) -> Values:
         return np.interp(np.asarray(s_m, dtype=np.float64), self._s, of)

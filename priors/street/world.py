@@ -6,8 +6,9 @@ from functools import partial
 import numpy as np
 import numpy.typing as npt
 
-from priors.street import buildings, cars, furniture, ground, mesh, people, plants
+from priors.street import buildings, cars, corner, furniture, ground, mesh, people, plants
 from priors.street.config import KERB_HEIGHT_M, KERB_M, StreetConfig
+from priors.street.corner import CornerPath
 from priors.street.materials import Material
 from priors.street.mesh import Finish, Mesh
 from priors.street.path import BEHIND_M, Path
@@ -18,6 +19,8 @@ PROTOTYPES = 7
 GAP_M = 9.0
 FINE_LEAVES_M = 16.0
 CORNERS_AT_ONCE = 100_000
+BESIDE_M = 40.0
+"""From a corner's second leg on, houses of the distance stand this far beside the street."""
 HILL_TINT = [0.05, 0.07, 0.04]
 
 
@@ -26,17 +29,18 @@ class World:
 
     def __init__(self, config: StreetConfig) -> None:
         self.config = config
-        self.path = Path(config)
+        self.path = CornerPath(config) if config.turn else Path(config)
         rng = np.random.default_rng([config.seed, 4])
         self._trees = [plants.tree(rng) for _ in range(PROTOTYPES)]
         self._far_trees = [plants.tree(rng, 0.2) for _ in range(PROTOTYPES)]
         self._bushes = [plants.bush(rng) for _ in range(4)]
         self._cars = [cars.car(rng) for _ in range(14)]
-        parts = [ground.road(config, (-BEHIND_M, config.length_m + 40))]
+        parts = [ground.road(config, ends) for ends in corner.road_parts(config, -BEHIND_M, config.length_m + 40)]
         for side in (1, -1):
             parts += self._side(side)
         # What is far from the centre line is not bent: offset curves of that size would fold.
-        self.still = mesh.merge([self._bend(mesh.merge(parts)), ground.terrain(config, BEHIND_M), *self._distance()])
+        far = [ground.terrain(config, BEHIND_M), *self._distance()]
+        self.still = mesh.merge([self._bend(mesh.merge(parts)), *self._around_the_corner(), *far])
         self.bodies = self._traffic()
 
     def _bend(self, straight: Mesh) -> Mesh:
@@ -50,16 +54,44 @@ class World:
 
     def _side(self, side: int) -> list[Mesh]:
         """Build one side of the street, block by block; each block has its own seed."""
-        parts, s, number = [], -BEHIND_M, 0
-        while s < self.config.length_m:
-            rng = np.random.default_rng([self.config.seed, 5, side + 1, number])
-            length = float(rng.uniform(40, 110))
-            built = bool(rng.random() < self.config.built_share[0 if side > 0 else 1])
-            parts += ground.block_side(self.config, (s, s + length), side, not built, rng.uniform(0, 999))
-            parts += self._houses(rng, side, s, s + length) if built else self._park(rng, side, s, s + length)
-            parts += self._pavement(rng, side, s, s + length)
-            parts.append(ground.side_street(self.config, (s + length, s + length + GAP_M), side))
-            s, number = s + length + GAP_M, number + 1
+        parts, number = [], 0
+        for stretch in corner.stretches(self.config, side):
+            s = stretch.start_m
+            while s < stretch.end_m:
+                rng = np.random.default_rng([self.config.seed, 5, side + 1, number])
+                length = stretch.length_m(s, float(rng.uniform(40, 110)), GAP_M)
+                built = bool(rng.random() < self.config.built_share[0 if side > 0 else 1]) and not stretch.is_square
+                parts += ground.block_side(self.config, (s, s + length), side, not built, rng.uniform(0, 999))
+                parts += self._houses(rng, side, s, s + length) if built else self._park(rng, side, s, s + length)
+                parts += self._pavement(rng, side, s, s + length)
+                s, number = s + length, number + 1
+                if not stretch.is_cut or s < stretch.end_m:
+                    parts.append(ground.side_street(self.config, (s, s + GAP_M), side))
+                    s += GAP_M
+            if stretch.end_m == corner.BEGIN_M:
+                parts += self._bent_ground(side)
+        return parts
+
+    def _bent_ground(self, side: int) -> list[Mesh]:
+        """Make kerb, pavement and lots of one side of a corner; the inner ones end at the middle of its circle."""
+        rng = np.random.default_rng([self.config.seed, 11, side + 1])
+        lot_m = corner.RADIUS_M - 0.01 if side == self.config.turn else ground.LOT_M
+        arc = (corner.BEGIN_M, float(corner.END_M))
+        return ground.block_side(self.config, arc, side, side == self.config.turn, rng.uniform(0, 999), lot_m)
+
+    def _around_the_corner(self) -> list[Mesh]:
+        """Build houses around a corner's outer side, wall to wall, each turned as the street is before it."""
+        if not isinstance(self.path, CornerPath):
+            return []
+        rng, side = np.random.default_rng([self.config.seed, 12]), -self.config.turn
+        front = self.config.front_m(side) + 0.3
+        width = 2 * (corner.RADIUS_M + front) * float(np.tan(np.pi / 4 / corner.HOUSES))
+        floors = int(rng.integers(self.config.floors[0], self.config.floors[1] + 1))
+        parts = []
+        for number in range(corner.HOUSES):
+            s = corner.BEGIN_M + (number + 0.5) * (corner.END_M - corner.BEGIN_M) / corner.HOUSES
+            house = buildings.house(rng, width, int(np.clip(floors + rng.integers(-1, 2), 2, 5)))
+            parts.append(self.path.turned(self._put(house, s - width / 2, front, side), s))
         return parts
 
     def _put(self, part: Mesh, s: float, t: float, side: int, z: float = KERB_HEIGHT_M) -> Mesh:
@@ -167,13 +199,10 @@ class World:
                 t = rng.uniform(-10, 200)
             w, h = rng.uniform(8, 30), rng.uniform(6, 17)
             tint = buildings.PLASTER_TINTS[rng.integers(12)] * rng.uniform(0.5, 0.9)
-            parts.append(
-                mesh.box(
-                    [s, side * t, -4],
-                    [s + w, side * t + rng.uniform(8, 20), h],
-                    Finish(Material.FAR, tint, rng.uniform(0, 99)),
-                )
-            )
+            low, high = [s, side * t, -4], [s + w, side * t + rng.uniform(8, 20), h]
+            finish = Finish(Material.FAR, tint, rng.uniform(0, 99))
+            if not isinstance(self.path, CornerPath) or self.path.is_clear(low, high, BESIDE_M):
+                parts.append(mesh.box(low, high, finish))
         x = np.arange(-900, self.config.length_m + 810, 30.0)
         for side in (-1, 1):
             parts.append(_ridge(rng, x, side * 880.0))

@@ -10,9 +10,11 @@ OUT/street/street_0007_sync/image_02|03/{data/*.png,timestamps.txt}    the pair
 """
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 import numpy as np
 import numpy.typing as npt
@@ -22,6 +24,7 @@ from priors import codecs, geometry
 from priors.errors import DataError
 from priors.street import kitti, rig
 from priors.street.config import StreetConfig
+from priors.street.corner import with_corner
 from priors.street.street import FRAME_S, Street
 from priors.types import FloatMap, Matrix
 
@@ -31,6 +34,46 @@ STREET_VERSION = 2
 """Counts changes of what a seed looks like: a drive begun by another version is not continued."""
 VISIBLE_M = 330.0
 PAIR_CAMERAS = ("image_02", "image_03")
+Corner: TypeAlias = Literal["none", "left", "right"]
+TURNS: Mapping[str, int] = {"left": 1, "right": -1}
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Which drive through which street."""
+
+    frames: int
+    """How many, at 10 Hz."""
+    seed: int
+    """Which street: the same seed, size, corner and number of frames give the same bytes."""
+    size: tuple[int, int] = (375, 1242)
+    """(height, width) of the images, pixels."""
+    corner: Corner = "none"
+    """Where the street turns by 90 degrees, and the drive with it."""
+
+    def __post_init__(self) -> None:
+        if self.frames < 1 or min(self.size) < 16:
+            height, width = self.size
+            raise DataError(f"street: {self.frames} frames of {width}x{height}: expected at least 1 frame of 16x16")
+
+    @property
+    def name(self) -> str:
+        """The drive's folder."""
+        return f"street_{self.seed:04d}{'' if self.corner == 'none' else f'_{self.corner}'}_sync"
+
+    def record(self) -> dict[str, object]:
+        """Return what street.json says."""
+        around = {} if self.corner == "none" else {"corner": self.corner}
+        return {"version": STREET_VERSION, "seed": self.seed, "frames": self.frames, "size": list(self.size), **around}
+
+    def street(self) -> Street:
+        """Build the street, as long as the drive sees."""
+        config = self._config(StreetConfig.draw(self.seed))
+        length_m = VISIBLE_M + 1.1 * self.frames * FRAME_S * config.speed_mps
+        return Street(self.seed, config=self._config(StreetConfig.draw(self.seed, length_m)))
+
+    def _config(self, drawn: StreetConfig) -> StreetConfig:
+        return drawn if self.corner == "none" else with_corner(drawn, TURNS[self.corner])
 
 
 def write_street(
@@ -41,13 +84,16 @@ def write_street(
     on_frame: Callable[[int], None] | None = None,
     workers: int = 1,
 ) -> Path:
-    """Write `frames` frames of the street of a seed in the KITTI raw layout; frames already there are kept.
+    """Write `frames` frames of the street of a seed in the KITTI raw layout; see write_drive."""
+    return write_drive(out, Asked(frames, seed, size), on_frame, workers)
+
+
+def write_drive(out: Path, asked: Asked, on_frame: Callable[[int], None] | None = None, workers: int = 1) -> Path:
+    """Write a drive through a street in the KITTI raw layout; frames already there are kept.
 
     Args:
         out: folder to write into.
-        frames: how many, at 10 Hz.
-        seed: which street; the same seed, size and number of frames give the same bytes.
-        size: (height, width) of the images, pixels.
+        asked: which drive.
         on_frame: called with a frame's number when it is written or found written.
         workers: threads.
 
@@ -55,27 +101,24 @@ def write_street(
         the drive's folder.
 
     Raises:
-        DataError: the folder holds another street, or the size or number is not usable.
+        DataError: the folder holds another street.
     """
-    if frames < 1 or min(size) < 16:
-        raise DataError(f"street: {frames} frames of {size[1]}x{size[0]}: expected at least 1 frame of 16x16")
-    drive = Path(out) / DATE / f"street_{seed:04d}_sync"
-    _claim(drive, {"version": STREET_VERSION, "seed": seed, "frames": frames, "size": list(size)})
-    todo = [number for number in range(frames) if not _marker(drive, number).exists()]
-    for number in sorted(set(range(frames)) - set(todo)):
+    drive = Path(out) / DATE / asked.name
+    _claim(drive, asked.record())
+    todo = [number for number in range(asked.frames) if not _marker(drive, number).exists()]
+    for number in sorted(set(range(asked.frames)) - set(todo)):
         _tell(on_frame, number)
     if not todo:
         return drive
-    speed_mps = StreetConfig.draw(seed).speed_mps
-    street = Street(seed, length_m=VISIBLE_M + 1.1 * frames * FRAME_S * speed_mps)
-    kitti.write_calibration(drive.parent, rig.camera(size))
-    _write_way(drive, street, frames)
+    street = asked.street()
+    kitti.write_calibration(drive.parent, rig.camera(asked.size))
+    _write_way(drive, street, asked.frames)
     with ThreadPoolExecutor(max_workers=max(1, workers)) as pool:
         running = {}
         rest = iter(todo)
         while True:
             for number in rest:
-                running[pool.submit(_write_frame, drive, street, number, size)] = number
+                running[pool.submit(_write_frame, drive, street, number, asked.size)] = number
                 if len(running) > workers:
                     break
             if not running:
