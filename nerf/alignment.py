@@ -4,12 +4,12 @@ A frame's depth d becomes 1 / (exp(-s) / d + SHIFT b): scale and shift of the in
 them (Ranftl et al., "Towards Robust Monocular Depth Estimation", TPAMI 2022). Each training step moves s and b to where
 field and prior agree, by the gradient of
 
-    mean over the frame's rays of sqrt(x^2 + SOFT^2), x = log(median depth of the field / aligned depth)
-    + PULL / 2 ((s - median of all s)^2 + (b - median of all b)^2)
+    mean over the frame's rays of x^2 / 2 / (1 + (x / REACH)^2), x = log(median depth of the field / aligned depth)
+    + PULL / 2 ((s - median of all s)^2 + b^2)
 
-with the prior's weights. The field in turn is asked by the depth loss to agree with the aligned prior. The median of
-all s is taken off: the scale of the drive is what the images say before the fit (nerf/evidence); field and prior could
-drift together.
+with the prior's weights: the loss of Geman and McClure (1987), for which gross errors pull at nothing. The field in
+turn is asked by the depth loss to agree with the aligned prior. The median of all s is taken off: the scale of the
+drive is what the images say before the fit (nerf/evidence); field and prior could drift together.
 """
 
 from dataclasses import replace
@@ -21,9 +21,9 @@ from nerf.types import OPAQUE, Rays, Rendered
 
 SHIFT = 0.05
 """Unit of b, 1/m: at 20 m, b and s move the depth alike."""
-SOFT = 0.02
-"""Relative errors below this pull less."""
-PULL = 0.05
+REACH = 0.2
+"""Relative errors above this pull less and less."""
+PULL = 0.02
 """How firmly a frame is held to the drive."""
 FARTHEST_M = 1000.0
 """No aligned depth is farther."""
@@ -67,12 +67,12 @@ class Alignment:
         tells = (aligned_m > 0) & (rendered.median_m > 0) & (rendered.transmittance < 1 - OPAQUE)
         weight = torch.where(tells, weight, 0.0)
         off = torch.where(tells, torch.log(rendered.median_m / aligned_m), 0.0)
-        slope = weight * off * (off * off + SOFT * SOFT).rsqrt()
+        slope = weight * off / (1 + (off / REACH) ** 2) ** 2
         by_scale = torch.where(tells, aligned_m * self._scaled(frame, rays.depth_m), 0.0)  # d log(aligned) / ds
         total = self._summed(frame, weight).clamp(min=1e-6)
-        for tensor, by in ((self.log_scale, -slope * by_scale), (self.shift, slope * SHIFT * aligned_m)):
-            away = tensor - tensor[self._train].median()
-            tensor.grad = self._summed(frame, by) / total + PULL * away
+        away = self.log_scale - self.log_scale[self._train].median()
+        self.log_scale.grad = self._summed(frame, -slope * by_scale) / total + PULL * away
+        self.shift.grad = self._summed(frame, slope * SHIFT * aligned_m) / total + PULL * self.shift
 
     def _scaled(self, frame: Tensor, depth_m: Tensor) -> Tensor:
         """Return the inverse of the depth (r,) times its frame's scale, 1/m."""

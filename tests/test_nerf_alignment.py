@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from nerf import checkpoint
-from nerf.alignment import SHIFT, Alignment
+from nerf.alignment import PULL, SHIFT, Alignment
 from nerf.config import FitConfig
 from nerf.fit import Status, fit
 from nerf.optimise import Optimiser, OptimiserConfig
@@ -31,7 +31,7 @@ def test_scales_and_shifts_are_found() -> None:
     scale, shift = torch.tensor([1.0, 1.2, 0.8, 1.0]), torch.tensor([0.0, 0.0, 0.01, 0.0])
     alignment = Alignment(4, [0, 1, 2], "cpu")
     parameters = {f"alignment.{name}": tensor for name, tensor in alignment.parameters().items()}
-    optimiser, steps = Optimiser(parameters), 400
+    optimiser, steps = Optimiser(parameters), 200
     for step in range(steps):
         frame = torch.randint(0, 3, (300,), generator=random)
         true_m = 4 + 40 * torch.rand(300, generator=random)
@@ -45,8 +45,11 @@ def test_scales_and_shifts_are_found() -> None:
     prior_m = scale[frame] / (1 / true_m - shift[frame])
     aligned_m = alignment.applied(frame, Rays(torch.zeros(150, 3), torch.ones(150, 3), depth_m=prior_m)).depth_m
     assert aligned_m is not None
-    assert float((aligned_m / true_m - 1).abs().max()) < 0.05
-    assert alignment.log_scale[3] == 0, "a frame that does not train stays as it is"
+    off = (aligned_m / true_m - 1).abs()
+    assert off.max() < 0.1, "it was 0.67"
+    assert off.mean() < 0.03
+    other = alignment.applied(torch.tensor([3]), Rays(torch.zeros(1, 3), torch.ones(1, 3), depth_m=torch.tensor([9.0])))
+    assert float(other.depth_m) == pytest.approx(9, rel=0.01), "a frame that does not train has the drive's scale"
 
 
 def test_its_gradient_is_that_of_its_formula() -> None:
@@ -61,9 +64,9 @@ def test_its_gradient_is_that_of_its_formula() -> None:
     s, b = (tensor.clone().requires_grad_() for tensor in (alignment.log_scale, alignment.shift))
     inverse = torch.exp(s.median().detach() - s[frame]) / prior_m + SHIFT * b[frame]
     off = torch.log(found_m * inverse)
-    each = torch.zeros(3, dtype=torch.float64).index_add(0, frame, weight * torch.sqrt(off * off + 0.02**2))
+    each = torch.zeros(3, dtype=torch.float64).index_add(0, frame, weight * off**2 / 2 / (1 + (off / 0.2) ** 2))
     loss = (each / torch.zeros(3, dtype=torch.float64).index_add(0, frame, weight)).sum()
-    loss = loss + sum(0.05 / 2 * (x - x.median().detach()).square().sum() for x in (s, b))
+    loss = loss + PULL / 2 * ((s - s.median().detach()).square().sum() + b.square().sum())
     for tensor, expected in zip((alignment.log_scale, alignment.shift), torch.autograd.grad(loss, (s, b)), strict=True):
         torch.testing.assert_close(tensor.grad, expected)
 
