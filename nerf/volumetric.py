@@ -209,7 +209,7 @@ class VolumetricModel:
 
     def _sample(self, rays: Rays, key: Key | None, progress: float) -> tuple[Samples, list[Round]]:
         """Sample rays; with the proposal rounds that led there, near to far."""
-        config = self.config.sampler
+        config = self.config.sampler.at(progress)
         rays = self._trusted(rays)
         if self.family.proposals:
             return self.proposals.sample(rays, config, key, progress)
