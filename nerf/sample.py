@@ -53,7 +53,7 @@ class SamplerConfig:
     """Share of the rays with a prior that ignore it, when a fit begins: gross errors of a prior are found by them."""
     unguided_later: float = 0.5
     """What that share has grown to in the middle of a fit, where it is more: once depth is learned, guiding costs
-    colour."""
+    colour. Families with proposals keep the share."""
     trust: float = 0.2
     """Prior values of less confidence than this carve and guide nothing; the losses weigh them as they do all."""
 
