@@ -21,7 +21,7 @@ from nerf.config import FitConfig
 from nerf.fields import is_trained
 from nerf.fit import OnStep
 from nerf.guide import open_guide
-from nerf.losses import DepthLoss
+from nerf.losses import DepthLoss, DepthMean
 from nerf.prepare import ProgressBar, SceneConfig, silent
 from nerf.report import Report
 from nerf.run import Run, RunConfig, claim
@@ -61,6 +61,8 @@ class RunSpec:
     """Share of the values that is used, drawn at random."""
     seed: int = 0
     """Of the run."""
+    over_all: bool = False
+    """The depth loss is the mean over all rays, not over those with a prior."""
 
     @property
     def prior_name(self) -> str:
@@ -72,7 +74,8 @@ class RunSpec:
         """Folder of the run: what differs from the defaults, in a fixed order."""
         parts = [self.field, in_name(self.views), self.prior_name, self.loss or ""]
         parts += [f"{key}{getattr(self, key):.10g}" for key in SHARES if getattr(self, key) is not None]
-        return "-".join([part for part in parts if part] + ["masked"] * self.truth_mask + [f"seed{self.seed}"])
+        words = ["masked"] * self.truth_mask + ["overall"] * self.over_all
+        return "-".join([part for part in parts if part] + [*words, f"seed{self.seed}"])
 
     def filters(self) -> Filters:
         """Return the filters that the prior passes."""
@@ -109,6 +112,8 @@ class Study:
     """Shares that are used, drawn at random: the density curve."""
     seeds: tuple[int, ...] = (0,)
     """Every run is made once a seed; the table holds the means."""
+    over_all: tuple[bool, ...] = (False,)
+    """Whether the depth loss is the mean over all rays, not over those with a prior."""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -126,7 +131,7 @@ class Study:
             UsageError: there is none: a field that is not trained needs a prior.
         """
         choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
-        grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
+        grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds, self.over_all)
         specs = (RunSpec(*choice) for choice in grid)
         runs = list(dict.fromkeys(made for spec in specs if (made := _reduced(spec)) is not None))
         if not runs:
@@ -184,8 +189,9 @@ class FitRunner:
 
     def begin(self, spec: RunSpec, folder: Path) -> Run:
         """Begin one run, or open it; a run of another budget is begun anew."""
-        loss = cast("DepthLoss", spec.loss or "none")
-        model, losses = replace(self.fit.model, family=spec.field), replace(self.fit.losses, loss=loss)
+        loss, mean = cast("DepthLoss", spec.loss or "none"), "all" if spec.over_all else "prior"
+        losses = replace(self.fit.losses, loss=loss, depth_mean=cast("DepthMean", mean))
+        model = replace(self.fit.model, family=spec.field)
         fitted = replace(self.fit, model=model, losses=losses, seed=spec.seed)
         prior = None if spec.prior == NONE else open_guide(spec.prior)
         scene = SceneConfig(spec.views, self.frames, spec.filters())
@@ -231,7 +237,7 @@ def run_study(
 def _reduced(spec: RunSpec) -> RunSpec | None:
     """Return a run without the choices that change nothing in it; None where it cannot be made."""
     if not is_trained(spec.field):
-        return None if spec.prior == NONE else replace(spec, loss=None, seed=0)
+        return None if spec.prior == NONE else replace(spec, loss=None, seed=0, over_all=False)
     return RunSpec(spec.field, spec.views, NONE, seed=spec.seed) if spec.prior == NONE else spec
 
 

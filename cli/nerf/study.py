@@ -165,4 +165,5 @@ def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
         record = {name: value for name, value in asdict(spec).items() if name in SHARES}
         parts += [word for name, value in record.items() if value is not None for word in (f"--{name}", f"{value:g}")]
         parts += ["--truth-mask"] if spec.truth_mask else []
+        parts += ["--depth-mean", "all"] if spec.over_all else []
     return shlex.join([*parts, "--seed", str(spec.seed)])
