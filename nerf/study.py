@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from eval.lpips import Lpips
 from eval.protocol import ScoreError
@@ -131,8 +131,8 @@ class Study:
             UsageError: there is none: a field that is not trained needs a prior.
         """
         choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
-        grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds, self.over_all)
-        specs = (RunSpec(*choice) for choice in grid)
+        grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
+        specs = (replace(RunSpec(*choice), over_all=over_all) for choice in grid for over_all in self.over_all)
         runs = list(dict.fromkeys(made for spec in specs if (made := _reduced(spec)) is not None))
         if not runs:
             raise UsageError(f"--field {self.fields[0]}: shows frames by a prior's depth: name one by --priors cache/")
@@ -207,8 +207,21 @@ class FitRunner:
         return run.report(self.device, self.lpips, {"name": spec.name, "config": config, **typed})
 
 
+class Grid(Protocol):
+    """What runs a study makes."""
+
+    def runs(self) -> list[RunSpec]:
+        """List the runs, each once, in the order of the table."""
+        ...
+
+
+def left_of(study: Grid, folder: Path, settings: Mapping[str, Any]) -> list[RunSpec]:
+    """List the runs that are not done."""
+    return [spec for spec in study.runs() if _done(folder / spec.name, _config(spec, settings)) is None]
+
+
 def run_study(
-    study: Study,
+    study: Grid,
     folder: Path,
     run: Runner,
     settings: Mapping[str, Any],
@@ -225,13 +238,19 @@ def run_study(
     """
     outcomes = []
     for spec in study.runs():
-        spec_record = asdict(spec) | {"prior": spec.prior_name}  # a cache may move: the name holds the prior's key
-        config = json.loads(json.dumps({"spec": spec_record, **settings}, allow_nan=False))
+        config = _config(spec, settings)
         done = _done(folder / spec.name, config)
         outcome = Outcome(spec, done, fresh=False) if done else _outcome(spec, folder / spec.name, config, run)
         outcomes.append(outcome)
         on_run(outcome)
     return outcomes
+
+
+def _config(spec: RunSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return everything that decides a run's figures, as JSON holds it."""
+    record = asdict(spec) | {"prior": spec.prior_name}  # a cache may move: the name holds the prior's key
+    made: dict[str, Any] = json.loads(json.dumps({"spec": record, **settings}, allow_nan=False))
+    return made
 
 
 def _reduced(spec: RunSpec) -> RunSpec | None:
