@@ -3,6 +3,7 @@
 <study>/study.md    written by `nerf study --preset paper`
 """
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from nerf.paper.numbers import FIELDS, MONO, NONE, ROLES, STEREO, TRUTH, Row
 from nerf.paper.plan import CONFIDENT, DENSITIES, FEW_FIELD, FEW_VIEWS
 from nerf.study import RunSpec
 from nerf.study_table import prior_labels
+from priors.machine import cpu
 
 NAME = "study.md"
 COLUMNS = ("PSNR", "SSIM", "LPIPS", "RMSE", "AbsRel")
@@ -84,7 +86,8 @@ def _basis(measured: Measured) -> str:
     priors = ", ".join(f"{ROLES.get(role, role)}: {labels[prior]}" for prior, role in measured.plan.roles.items())
     seeds = f"seeds {', '.join(map(str, measured.plan.seeds))} in table 3, the first of them elsewhere"
     scored = f"{len(made.frames)} held-out views, {made.protocol.describe()}"
-    return f"Drive {name}{frames}; {scored}; {budget}; {seeds}. Priors: {priors}."
+    machine = f"CPU mode {cpu.mode()}; with steps for a budget, how busy the machine is changes no figure"
+    return f"Drive {name}{frames}; {scored}; {budget}; {seeds}. Priors: {priors}. {machine}."
 
 
 def _table_3(measured: Measured) -> str:
@@ -98,7 +101,8 @@ def _table_3(measured: Measured) -> str:
                 spec = measured.spec(role, field, views)
                 cells += _cells(measured, spec, printed.get((field, role, views)))
                 spread = max(spread, measured.spread_db(spec) if spec is not None else 0.0)
-            rows.append([FIELDS.get(field, field), ROLES[role], *cells, f"{spread:.2f}"])
+            told = f"{spread:.2f}" if len(measured.plan.seeds) > 1 else "-"
+            rows.append([FIELDS.get(field, field), ROLES[role], *cells, told])
     return _markdown(heads, rows, lead=2)
 
 
@@ -158,10 +162,22 @@ def _not_run(measured: Measured) -> str:
     if not measured.plan.has_truth:
         absent.append("- GT masking: the drive has no true depth maps.")
     failed = {each.spec: each.error for each in measured.outcomes if each.report is None}
-    absent += [f"- `{spec.name}`: {failed.get(spec, 'not made yet')}" for spec in measured.missing()]
+    absent += [f"- `{spec.name}`: {failed[spec]}." for spec in measured.missing() if spec in failed]
+    kinds = Counter(_kind(spec) for spec in measured.missing() if spec not in failed)
+    absent += [f"- {kind}: {count} run{'s' * (count > 1)} not made yet." for kind, count in kinds.items()]
     if not is_argoverse(measured):
         absent.append("- Table 5: no Argoverse log was at hand. The same command on a log writes it.")
     return "\n".join(absent) or "Everything was run."
+
+
+def _kind(spec: RunSpec) -> str:
+    """Say in which table a run stands."""
+    if spec.views in FEW_VIEWS:
+        return "Few views"
+    if spec.density is not None or spec.over_all:
+        return "Density"
+    unusual = spec.loss not in (None, "mse") or spec.truth_mask or spec.clip is not None or spec.confidence is not None
+    return "Table 6" if unusual else f"Table 3, {FIELDS.get(spec.field, spec.field)}, {spec.views}, seed {spec.seed}"
 
 
 def _cells(measured: Measured, spec: RunSpec | None, study: Row | None) -> list[str]:
