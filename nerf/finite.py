@@ -95,7 +95,7 @@ def _setting(config: FitConfig) -> str:
         usual, found = asdict(type(getattr(config, group))()), asdict(getattr(config, group))
         for name, value in found.items():
             ratio = _ratio(value, usual[name])
-            if ratio > STRANGE:
+            if ratio >= STRANGE:
                 written = flag.format(name.replace("_", "-") if group == "losses" else name)
                 strange.append((ratio, f"{written} {value:g} is far from the usual {usual[name]:g}: choose one nearer"))
     if strange:

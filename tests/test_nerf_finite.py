@@ -71,11 +71,25 @@ def test_the_camera_is_named() -> None:
         ({"losses": LossConfig(unit_m=1e-30, distortion=1)}, "--unit-m 1e-30 is far from the usual 16"),
         ({"losses": LossConfig(sigma_floor_m=1e-30)}, "--sigma-floor-m 1e-30 is far"),
         ({"optimiser": OptimiserConfig(grid=1e9)}, "optimiser.grid 1e+09 is far from the usual 0.01"),
+        ({"optimiser": OptimiserConfig(sky=10 * OptimiserConfig().sky)}, "optimiser.sky"),
         ({}, "no input and no setting stands out"),
     ],
 )
 def test_the_setting_is_named(changes: dict[str, Any], told: str) -> None:
     assert finite.cause(corridor("sparse"), FitConfig(**changes)).startswith(told)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_ten_times_the_rates_are_finite_or_named(tmp_path: Path, seed: int) -> None:
+    usual = OptimiserConfig()
+    fast = OptimiserConfig(grid=10 * usual.grid, network=10 * usual.network, sky=10 * usual.sky)
+    try:
+        model = fit(corridor("sparse"), replace(config(60), seed=seed, optimiser=fast), tmp_path)
+    except finite.NotFiniteError as error:
+        assert "optimiser" in str(error)
+        return
+    assert finite.bad_tensor(model.state()) is None
 
 
 def test_a_fit_stops_at_once_and_keeps_what_was_good(tmp_path: Path) -> None:
