@@ -180,7 +180,7 @@ def test_a_run_goes_on_and_says_where_nothing_is_left(
     assert "trained before" not in told
     assert re.findall(r"^(\w+)[: ]", told, re.MULTILINE)[:4] == ["run", "views", "field", "training"]
     assert "96x32: 9 of 10 frames train, 1 are held out" in told
-    assert f"field: ngp, guided by {prior_of(home).name}, loss l1; 4 steps, goes on from step 3, " in told
+    assert f"field: mip360, guided by {prior_of(home).name}, loss l1; 4 steps, goes on from step 3, " in told
     assert "other settings" in refused(capsys, *fit, 4, "--views", "sparse")
 
 
