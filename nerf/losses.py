@@ -28,6 +28,7 @@ from nerf.types import Gradients, Rays, Rendered, Samples, Target
 from priors.errors import expect, expect_choices
 
 DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
+DepthMean = Literal["prior", "all"]
 
 
 SOFT = 0.05
@@ -52,6 +53,9 @@ class LossConfig:
     """Standard deviation of the prior as a share of its depth, for kl and urf."""
     sigma_floor_m: float = 0.1
     """Smallest standard deviation of the prior, metres."""
+    depth_mean: DepthMean = "prior"
+    """The rays that the depth loss is the mean of: those with a prior, or all, as the study has it (MipNeRF-360,
+    Instant-NGP): a sparse map then pulls less than a dense one."""
     by_confidence: bool = True
     """Weight rays by the prior's confidence, the probability that it is right."""
     trim: float = 0.0
@@ -115,7 +119,7 @@ def losses(
         deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
         target = Target(rays.norms, prior_m, deviation_m)
         term = _DepthTerm(config, samples, target, sigma, rendered, kernels)
-        terms["depth"] = _depth(term, weight if rays.share is None else weight * rays.share, gradients, each)
+        terms["depth"] = _depth(term, weight, rays.share, gradients, each)
     terms["opacity"] = _opacity(config, _share(rays, _stopping(samples, weight)), rendered, gradients)
     if rays.sky is not None and config.sky_opacity > 0:
         terms["sky"] = _sky(config, _share(rays, rays.sky), rendered, gradients)
@@ -148,12 +152,24 @@ def _colour(rays: Rays, rendered: Rendered, gradients: Gradients, each: Tensor) 
     return (rays.share * each).sum()
 
 
-def _depth(term: "_DepthTerm", weight: Tensor, gradients: Gradients, each: Tensor) -> Tensor:
-    """Reduce the depth loss, add its gradients, and each ray's loss to `each`."""
+def _depth(term: "_DepthTerm", weight: Tensor, drawn: Tensor | None, gradients: Gradients, each: Tensor) -> Tensor:
+    """Reduce the depth loss, add its gradients, and each ray's loss to `each`.
+
+    Args:
+        term: the loss of each ray.
+        weight: (r,) how much each ray's prior counts.
+        drawn: (r,) each ray's share in a mean, where rays are drawn unevenly.
+        gradients: added to.
+        each: (r,) added to.
+    """
+    counted = torch.ones_like(weight) if drawn is None else drawn
+    if drawn is not None:
+        weight = weight * drawn
     if term.config.trim > 0:
         values = term(torch.zeros_like(weight), Gradients.zeros(term.rendered))
         weight = trimmed(weight, values, term.config.trim)
-    share = weight / weight.sum().clamp(min=1e-12)
+    total = counted.sum() if term.config.depth_mean == "all" else weight.sum()
+    share = weight / total.clamp(min=1e-12)
     values = term(term.config.depth_weight * share, gradients)
     each += term.config.depth_weight * values
     return (share * values).sum()

@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Protocol, cast
 
 from eval.lpips import Lpips
 from eval.protocol import ScoreError
@@ -21,7 +21,7 @@ from nerf.config import FitConfig
 from nerf.fields import is_trained
 from nerf.fit import OnStep
 from nerf.guide import open_guide
-from nerf.losses import DepthLoss
+from nerf.losses import DepthLoss, DepthMean
 from nerf.prepare import ProgressBar, SceneConfig, silent
 from nerf.report import Report
 from nerf.run import Run, RunConfig, claim
@@ -61,6 +61,8 @@ class RunSpec:
     """Share of the values that is used, drawn at random."""
     seed: int = 0
     """Of the run."""
+    over_all: bool = False
+    """The depth loss is the mean over all rays, not over those with a prior."""
 
     @property
     def prior_name(self) -> str:
@@ -72,7 +74,8 @@ class RunSpec:
         """Folder of the run: what differs from the defaults, in a fixed order."""
         parts = [self.field, in_name(self.views), self.prior_name, self.loss or ""]
         parts += [f"{key}{getattr(self, key):.10g}" for key in SHARES if getattr(self, key) is not None]
-        return "-".join([part for part in parts if part] + ["masked"] * self.truth_mask + [f"seed{self.seed}"])
+        words = ["masked"] * self.truth_mask + ["overall"] * self.over_all
+        return "-".join([part for part in parts if part] + [*words, f"seed{self.seed}"])
 
     def filters(self) -> Filters:
         """Return the filters that the prior passes."""
@@ -109,6 +112,8 @@ class Study:
     """Shares that are used, drawn at random: the density curve."""
     seeds: tuple[int, ...] = (0,)
     """Every run is made once a seed; the table holds the means."""
+    over_all: tuple[bool, ...] = (False,)
+    """Whether the depth loss is the mean over all rays, not over those with a prior."""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -127,7 +132,7 @@ class Study:
         """
         choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
         grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
-        specs = (RunSpec(*choice) for choice in grid)
+        specs = (replace(RunSpec(*choice), over_all=over_all) for choice in grid for over_all in self.over_all)
         runs = list(dict.fromkeys(made for spec in specs if (made := _reduced(spec)) is not None))
         if not runs:
             raise UsageError(f"--field {self.fields[0]}: shows frames by a prior's depth: name one by --priors cache/")
@@ -184,8 +189,9 @@ class FitRunner:
 
     def begin(self, spec: RunSpec, folder: Path) -> Run:
         """Begin one run, or open it; a run of another budget is begun anew."""
-        loss = cast("DepthLoss", spec.loss or "none")
-        model, losses = replace(self.fit.model, family=spec.field), replace(self.fit.losses, loss=loss)
+        loss, mean = cast("DepthLoss", spec.loss or "none"), "all" if spec.over_all else "prior"
+        losses = replace(self.fit.losses, loss=loss, depth_mean=cast("DepthMean", mean))
+        model = replace(self.fit.model, family=spec.field)
         fitted = replace(self.fit, model=model, losses=losses, seed=spec.seed)
         prior = None if spec.prior == NONE else open_guide(spec.prior)
         scene = SceneConfig(spec.views, self.frames, spec.filters())
@@ -201,8 +207,21 @@ class FitRunner:
         return run.report(self.device, self.lpips, {"name": spec.name, "config": config, **typed})
 
 
+class Grid(Protocol):
+    """What runs a study makes."""
+
+    def runs(self) -> list[RunSpec]:
+        """List the runs, each once, in the order of the table."""
+        ...
+
+
+def left_of(study: Grid, folder: Path, settings: Mapping[str, Any]) -> list[RunSpec]:
+    """List the runs that are not done."""
+    return [spec for spec in study.runs() if _done(folder / spec.name, _config(spec, settings)) is None]
+
+
 def run_study(
-    study: Study,
+    study: Grid,
     folder: Path,
     run: Runner,
     settings: Mapping[str, Any],
@@ -219,8 +238,7 @@ def run_study(
     """
     outcomes = []
     for spec in study.runs():
-        spec_record = asdict(spec) | {"prior": spec.prior_name}  # a cache may move: the name holds the prior's key
-        config = json.loads(json.dumps({"spec": spec_record, **settings}, allow_nan=False))
+        config = _config(spec, settings)
         done = _done(folder / spec.name, config)
         outcome = Outcome(spec, done, fresh=False) if done else _outcome(spec, folder / spec.name, config, run)
         outcomes.append(outcome)
@@ -228,10 +246,17 @@ def run_study(
     return outcomes
 
 
+def _config(spec: RunSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return everything that decides a run's figures, as JSON holds it."""
+    record = asdict(spec) | {"prior": spec.prior_name}  # a cache may move: the name holds the prior's key
+    made: dict[str, Any] = json.loads(json.dumps({"spec": record, **settings}, allow_nan=False))
+    return made
+
+
 def _reduced(spec: RunSpec) -> RunSpec | None:
     """Return a run without the choices that change nothing in it; None where it cannot be made."""
     if not is_trained(spec.field):
-        return None if spec.prior == NONE else replace(spec, loss=None, seed=0)
+        return None if spec.prior == NONE else replace(spec, loss=None, seed=0, over_all=False)
     return RunSpec(spec.field, spec.views, NONE, seed=spec.seed) if spec.prior == NONE else spec
 
 

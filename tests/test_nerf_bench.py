@@ -18,9 +18,10 @@ from nerf.bench import results
 from nerf.bench.curve import NAME, Curve, Entrant, Point, load
 from nerf.bench.lap import Lap, ReachedError
 from nerf.bench.marks import READY, Mark, ascending
-from nerf.bench.race import WARM, Forecast, Race
+from nerf.bench.race import Race
 from nerf.config import FitConfig, ModelConfig
 from nerf.fit import Status
+from nerf.forecast import WARM, Forecast
 from nerf.sample import SamplerConfig
 from nerf.split import HELD_OUT, split
 from nerf.study import NONE, FitRunner, RunSpec

@@ -1,6 +1,7 @@
 """The compiled renderer and losses against their plain twin, values and gradients, in float64."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -194,6 +195,25 @@ def test_sparse_and_dense_maps_pull_equally() -> None:
     assert found[0].terms["depth"] == pytest.approx(2 / 16, rel=1e-4)
     assert found[1].terms["depth"] == pytest.approx(2 / 16, rel=1e-4)
     assert found[2].terms["depth"] == 0
+
+
+@pytest.mark.parametrize("kind", ["mse", "l1", "kl", "urf"])
+def test_in_a_mean_over_all_rays_a_sparse_map_pulls_as_much_as_it_covers(kind: str) -> None:
+    samples, sigma, rgb, sky, rays = make([10] * 200)
+    made = cpu.forward(samples, sigma, rgb, sky)
+    depth_m = torch.where(torch.arange(200) % 10 == 0, made.depth_m + 2, 0.0)
+    given = Rays(rays.origins_m, rays.directions, rays.rgb, depth_m)
+    usual = LossConfig(loss=kind, trim=0.0, distortion=0.0)  # type: ignore[arg-type]
+    own = losses(usual, samples, given, sigma, made)
+    overall = losses(replace(usual, depth_mean="all"), samples, given, sigma, made)
+    assert float(overall.terms["depth"]) == pytest.approx(float(own.terms["depth"]) / 10, rel=1e-5)
+    for name in ("depth_m", "tau", "weights"):
+        gradient, tenth = (getattr(each.gradients, name) for each in (overall, own))
+        torch.testing.assert_close(gradient, tenth / 10)
+    even = losses(
+        replace(usual, depth_mean="all"), samples, replace(given, share=torch.full((200,), 1 / 200)), sigma, made
+    )
+    assert float(even.terms["depth"]) == pytest.approx(float(overall.terms["depth"]), rel=1e-5)
 
 
 def test_nan_and_infinite_priors_do_not_count() -> None:

@@ -34,13 +34,16 @@ class Runner:
     def __init__(self, stop_at=None, fails=()):
         self.made, self.stop_at, self.fails = [], stop_at, fails
 
+    def quality(self, spec):
+        return quality(spec)
+
     def __call__(self, spec, folder, config):
         if len(self.made) == self.stop_at:
             raise KeyboardInterrupt
         if spec.prior in self.fails:
             raise DataError(f"{spec.prior}: no map")
         self.made.append(spec.name)
-        psnr, abs_rel = quality(spec)
+        psnr, abs_rel = self.quality(spec)
         truth = np.full((3, 4), 10.0)
         rules = preset("paper")
         frames = tuple(

@@ -1,7 +1,8 @@
 """`nerf study`: a grid of runs and its table."""
 
 import shlex
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, fields
 from dataclasses import field as made_by
 from pathlib import Path
 from typing import Literal
@@ -9,20 +10,26 @@ from typing import Literal
 import tyro
 
 from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
-from cli.console import DATA_ERROR, err, fit_progress, out, progress
+from cli.console import DATA_ERROR, busy, err, fit_progress, out, progress
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName, seconds
 from cli.nerf.sources import named_priors
 from eval import typeset
 from nerf import study_table
 from nerf.config import FitConfig
+from nerf.forecast import forecast
 from nerf.guide import TRUTH, TrueMaps
 from nerf.losses import LossConfig
+from nerf.paper import page
+from nerf.paper.measured import Measured
+from nerf.paper.numbers import FIELDS
+from nerf.paper.plan import FEW_VIEWS, Plan
 from nerf.split import check_views, held_out, split
-from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, run_study
-from priors.errors import LARGEST_SEED, expect_between
+from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, left_of, run_study
+from priors.errors import LARGEST_SEED, UsageError, expect_between
 from priors.filters import Filters
 from priors.selection import parse_range, select
+from priors.types import Drive
 
 EXAMPLES = """Fit a grid of priors, views, losses, filters and fields, one run after the other; one table.
 Runs that are done are not made again; with another --time or --steps they are begun anew.
@@ -32,9 +39,14 @@ examples:
   nerf study street/ --priors none cache/ --views dense sparse --field ngp
   nerf study street/ --priors cache/DRIVE/stereo-KEY --loss mse l1 kl urf --views sparse
   nerf study street/ --priors none cache/DRIVE/completion-KEY --density 0.01 0.05 0.2 1 --time 30s
+  nerf study street/ --priors none truth cache/ --preset paper --steps 1500       the study's tables and findings
 """
 
 STUDY = Path("study")
+MANY = 6
+"""So many runs are worth a forecast, which takes a few steps of each kind."""
+DECIDED = ("loss", "views", "clip", "confidence", "keep", "density", "truth_mask")
+"""What a preset says."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +59,10 @@ class StudyArguments(ThreadArguments, SequenceArguments):
     """Depth losses."""
     views: tuple[str, ...] = ("dense", "sparse")
     """Training views: dense, sparse, shares (1/8: every 8th) or numbers."""
-    field: tuple[FieldName, ...] = ("ngp",)
-    """Families of fields."""
+    preset: Literal["none", "paper"] = "none"
+    """paper: all tables and findings of the study of docs/study.md; says what it takes, goes on after a kill."""
+    field: tuple[FieldName, ...] = ()
+    """Families of fields; default: ngp, with --preset paper the study's three."""
     clip: tuple[float, ...] = ()
     """Farthest depths of the prior that are used, metres."""
     confidence: tuple[float, ...] = ()
@@ -59,8 +73,8 @@ class StudyArguments(ThreadArguments, SequenceArguments):
     """Shares of the prior's values that are used, drawn at random."""
     truth_mask: Literal["no", "yes", "both"] = "no"
     """Use only pixels with a true depth."""
-    seed: tuple[int, ...] = (0,)
-    """Every run is made once a seed; the table has the means."""
+    seed: tuple[int, ...] = ()
+    """Every run is made once a seed; the table has the means. Default: 0, with --preset paper 0 1 2."""
     frames: str | None = None
     """Range of frames, a:b."""
     time: str = "60s"
@@ -85,6 +99,10 @@ class StudyArguments(ThreadArguments, SequenceArguments):
         for name in SHARES:
             for value in vars(self)[name]:
                 Filters(**{name: value})
+        for each in fields(self) if self.preset != "none" else ():
+            if each.name in DECIDED and getattr(self, each.name) != each.default:
+                flag = f"--{each.name.replace('_', '-')}"
+                raise UsageError(f"{flag}: --preset {self.preset} says it: leave out one or the other")
 
     @property
     def folder(self) -> Path:
@@ -96,6 +114,13 @@ class StudyArguments(ThreadArguments, SequenceArguments):
         timed = None if self.steps is not None else seconds(self.time)
         return FitConfig(losses=self.losses, steps=self.steps, seconds=timed)
 
+    def plan(self, drive: Drive, positions: Sequence[int]) -> Plan:
+        """Return the study's runs on some frames of a drive."""
+        masked = any(drive[position].has("truth") for position in positions)
+        trained = len(positions) - len(held_out(len(positions)))
+        few = tuple(views for views in FEW_VIEWS if int(views.removeprefix("1/")) <= trained)
+        return Plan(named_priors(self.priors), self.field or tuple(FIELDS), self.seed or (0, 1, 2), masked, few)
+
     def grid(self) -> Study:
         """Return the grid that was asked for."""
         masks = {"no": (False,), "yes": (True,), "both": (False, True)}[self.truth_mask]
@@ -103,13 +128,13 @@ class StudyArguments(ThreadArguments, SequenceArguments):
             priors=named_priors(self.priors),
             losses=self.loss,
             views=self.views,
-            fields=self.field,
+            fields=self.field or ("ngp",),
             clips=self.clip or (None,),
             confidences=self.confidence or (None,),
             keeps=self.keep or (None,),
             truth_masks=masks,
             densities=self.density or (None,),
-            seeds=self.seed,
+            seeds=self.seed or (0,),
         )
 
 
@@ -124,10 +149,11 @@ def run(arguments: list[str]) -> int:
 
 
 def _make(args: StudyArguments, command: str) -> int:
-    drive, grid = args.open(["nerf", "study"]), args.grid()
+    drive = args.open(["nerf", "study"])
     positions = select(drive.ids, args.frame_range(args.frames))
     for views in args.views:  # what no run can have is told before the first
         split(len(positions), views)
+    grid = args.grid() if args.preset == "none" else args.plan(drive, positions)
     if TRUTH.name in grid.priors:
         ids = [drive.ids[position] for position in positions]
         TrueMaps(drive).stamps(ids, [ids[position] for position in held_out(len(ids))])
@@ -139,11 +165,26 @@ def _make(args: StudyArguments, command: str) -> int:
     runner = FitRunner(
         drive, args.fit(), args.frame_range(args.frames), args.device, lpips, progress, fit_progress, command_of
     )
-    outcomes = run_study(grid, args.folder, runner, runner.settings, _tell)
+    left = left_of(grid, args.folder, runner.settings)
+    if len(left) >= MANY:
+        with busy("a few steps of each kind, to say what it takes"):
+            told = str(forecast(runner, grid.runs(), left, args.folder))
+        err.print(told)
+    made: list[Outcome] = []
+
+    def tell(outcome: Outcome) -> None:
+        _tell(outcome)
+        made.append(outcome)
+        if isinstance(grid, Plan):  # a study that is killed has its page too
+            page.write(Measured(grid, made), args.folder, command)
+
+    outcomes = run_study(grid, args.folder, runner, runner.settings, tell)
     laid = study_table.lay_out(outcomes)
     out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
     for path in study_table.save(outcomes, args.folder, command):
         out.print(f"wrote {path}")
+    if isinstance(grid, Plan):
+        out.print(f"wrote {page.write(Measured(grid, outcomes), args.folder, command)}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0
 
 
@@ -165,4 +206,5 @@ def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
         record = {name: value for name, value in asdict(spec).items() if name in SHARES}
         parts += [word for name, value in record.items() if value is not None for word in (f"--{name}", f"{value:g}")]
         parts += ["--truth-mask"] if spec.truth_mask else []
+        parts += ["--depth-mean", "all"] if spec.over_all else []
     return shlex.join([*parts, "--seed", str(spec.seed)])

@@ -5,7 +5,6 @@ that was killed between two marks is begun anew, for what it had spent is not kn
 """
 
 import json
-import shutil
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -17,36 +16,13 @@ from nerf import checkpoint
 from nerf.bench.curve import Curve, Entrant, Point, load
 from nerf.bench.lap import Lap, go
 from nerf.bench.marks import READY, Mark
+from nerf.forecast import Cost, Forecast, cost
 from nerf.run import Run, forget
 from nerf.study import FitRunner
 from priors.errors import DataError
 
-WARM = ".warm"
-WARM_STEPS = 3
-"""Steps of a fit that nobody scores: they compile its kernels."""
 START = Point(READY, 0, 0.0, 0.0, 0.0)
 """Nothing is spent."""
-SCORED_S = 0.3
-"""Seconds to score a rendered view and to write its pictures, about."""
-
-
-@dataclass(frozen=True)
-class Forecast:
-    """What is left to do."""
-
-    fits: int
-    """Of a bench, in all."""
-    left: int
-    """Those that are not done."""
-    training_s: float
-    scoring_s: float
-
-    def __str__(self) -> str:
-        if not self.left:
-            return "no fit is left to do"
-        fits = f"{self.fits} fit{'s' * (self.fits > 1)}"
-        left = fits if self.left == self.fits else f"{self.left} of {fits}"
-        return f"{left}: {self.training_s / 60:.1f} min of training, about {self.scoring_s / 60:.1f} min of scoring"
 
 
 @dataclass
@@ -67,22 +43,22 @@ class Race:
     def warm_up(self) -> Forecast:
         """Compile what the fits need, a few steps and a view of each kind, and say what is left to do."""
         training_s = scoring_s = 0.0
-        costs: dict[tuple[object, ...], tuple[float, float]] = {}
+        costs: dict[tuple[object, ...], Cost] = {}
         for curve in self.curves:
             spec = curve.entrant.spec
             kind = (spec.field, spec.loss, spec.prior == "none", curve.entrant.variant)
             if curve.is_done:
                 continue
             try:
-                step_s, render_s = costs[kind] = costs.get(kind) or self._cost(curve.entrant)
-                views = len(self._run(curve.entrant).scene.test)
+                costs[kind] = own = costs.get(kind) or self._cost(curve.entrant)
+                _ = self._run(curve.entrant).scene  # what cannot be is told before the first fit
             except DataError as error:
                 curve.error = str(error)
                 continue
             before = curve.points[-1].mark.amount if curve.points else 0
             last = curve.entrant.marks[-1]
-            training_s += (last.amount - before) * (1 if last.unit == "s" else step_s)
-            scoring_s += (len(curve.entrant.marks) - len(curve.points)) * views * (render_s + SCORED_S)
+            training_s += (last.amount - before) * (1 if last.unit == "s" else own.step_s)
+            scoring_s += (len(curve.entrant.marks) - len(curve.points)) * own.scoring_s
         left = sum(not curve.is_done for curve in self.curves)
         return Forecast(len(self.curves), left, training_s, scoring_s)
 
@@ -135,24 +111,9 @@ class Race:
             self._runs[entrant.name] = runner.begin(entrant.spec, self.folder / entrant.name)
         return self._runs[entrant.name]
 
-    def _cost(self, entrant: Entrant) -> tuple[float, float]:
-        """Fit an entrant for a few steps and render a view; returns seconds of a step and of a view."""
-        folder = self.folder / WARM
-        shutil.rmtree(folder, ignore_errors=True)
-        fit = replace(entrant.fit, steps=WARM_STEPS, seconds=None)
-        run = replace(self.runner, fit=fit).begin(entrant.spec, folder)
-        times_s = [0.0]
-        model = run.fit(self.runner.device, lambda status: times_s.append(status.step_s))
-        scene = run.scene
-        if not scene.test:
-            raise DataError(f"{scene.name}: none of the {len(scene.ids)} frames is held out: take 10 frames or more")
-        views = run.viewpoints()
-        for _ in range(2):  # the first one compiles
-            began_s = time.perf_counter()
-            model.render(views.T_world_cam[scene.test[0]], views.camera)
-            render_s = time.perf_counter() - began_s
-        shutil.rmtree(folder, ignore_errors=True)
-        return times_s[-1], render_s
+    def _cost(self, entrant: Entrant) -> Cost:
+        """Return what a fit of an entrant's kind takes."""
+        return cost(replace(self.runner, fit=entrant.fit), entrant.spec, self.folder)
 
     def _config(self, entrant: Entrant) -> dict[str, Any]:
         """Return everything that decides a curve, as JSON holds it."""
