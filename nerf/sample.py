@@ -27,6 +27,8 @@ _SHIFTS, _UNGUIDED = 1, 2
 """Which stream of random numbers a key opens; stream 0 draws the rays."""
 MOST_SAMPLES = 1 << 14
 """Of a ray."""
+GROWN = 0.5
+"""Share of a fit after which no more rays are freed of the prior's guidance."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +50,10 @@ class SamplerConfig:
     reach: float = 0.12
     """Half width of the band of samples around the prior, as a share of its depth."""
     unguided: float = 0.03
-    """Share of the rays with a prior that ignore it: gross errors of a prior are found by them."""
+    """Share of the rays with a prior that ignore it, when a fit begins: gross errors of a prior are found by them."""
+    unguided_later: float = 0.5
+    """What that share has grown to in the middle of a fit, where it is more: once depth is learned, guiding costs
+    colour. Families with proposals keep the share."""
     trust: float = 0.2
     """Prior values of less confidence than this carve and guide nothing; the losses weigh them as they do all."""
 
@@ -64,6 +69,7 @@ class SamplerConfig:
 
     BEFORE: ClassVar[Mapping[str, Any]] = {
         "free": 64,
+        "unguided_later": 0.0,
         "terminate": 0.0,
         "roulette_samples": 1.0,
         "carve_sky": False,
@@ -74,12 +80,19 @@ class SamplerConfig:
         expect_between(1, self.free, MOST_SAMPLES, "--free")
         expect_between(1, self.render, MOST_SAMPLES, "--render")
         expect(0 < self.reach < np.inf, "--reach", self.reach, "more than 0, a share of the depth")
-        expect(0 <= self.unguided <= 1, "--unguided", self.unguided, "a share from 0 to 1")
+        for name in ("unguided", "unguided_later"):
+            share = getattr(self, name)
+            expect(0 <= share <= 1, f"--{name.replace('_', '-')}", share, "a share from 0 to 1")
         expect(0 <= self.terminate < 0.1, "--terminate", self.terminate, "a transmittance from 0 to less than 0.1")
         for name in ("roulette_samples", "roulette_rays"):
             least = getattr(self, name)
             expect(0 < least <= 1, f"--{name.replace('_', '-')}", least, "a probability above 0, up to 1")
         expect(0 <= self.trust <= 1, "--trust", self.trust, "a confidence from 0 to 1")
+
+    def at(self, progress: float) -> "SamplerConfig":
+        """Return the settings at a moment of a fit, progress [0, 1]: `unguided` grows until GROWN."""
+        more = max(0.0, self.unguided_later - self.unguided)
+        return replace(self, unguided=self.unguided + more * min(1.0, progress / GROWN))
 
 
 @dataclass(frozen=True)

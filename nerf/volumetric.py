@@ -211,10 +211,10 @@ class VolumetricModel:
         """Sample rays; with the proposal rounds that led there, near to far."""
         config = self.config.sampler
         rays = self._trusted(rays)
-        if self.family.proposals:
+        if self.family.proposals:  # half of a guided ray's samples are theirs: guiding costs no colour
             return self.proposals.sample(rays, config, key, progress)
         if config.guide and rays.depth_m is not None:
-            return self.sampler.guided(rays, config, key), []
+            return self.sampler.guided(rays, config.at(progress), key), []
         return self.sampler.march(rays, config.free, key), []
 
     def _trusted(self, rays: Rays) -> Rays:

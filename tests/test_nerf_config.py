@@ -18,6 +18,7 @@ from priors.errors import DataError
 WRONG: list[tuple[type[Any], str, list[Any]]] = [
     (SamplerConfig, "count", [1, 0, -5]),
     (SamplerConfig, "free", [0]),
+    (SamplerConfig, "unguided_later", [-0.1, 1.5]),
     (SamplerConfig, "render", [0]),
     (SamplerConfig, "reach", [0.0, -3.0, math.nan, math.inf]),
     (SamplerConfig, "unguided", [-0.1, 7.0, math.nan]),

@@ -123,6 +123,21 @@ def test_a_prior_does_not_move_the_space(family: str) -> None:
     assert len(laid) == 1
 
 
+@pytest.mark.parametrize("family", ["ngp", pytest.param("nerfpp", marks=pytest.mark.slow)])
+def test_a_fit_guides_fewer_rays_as_it_goes_on(family: str) -> None:
+    scene = corridor("sparse")
+    start = fields.family(family).start
+
+    def samples(progress: float, **sampler: object) -> int:
+        settings = config(family=family)
+        rules = replace(settings.model.sampler, unguided=0.0, carve=False, **sampler)  # type: ignore[arg-type]
+        settings = replace(settings, model=replace(settings.model, sampler=rules))
+        return start(scene, settings, "cpu").train(scene, settings, 1, progress).samples
+
+    assert samples(0.5, unguided_later=1.0) == samples(0.5, guide=False) != samples(0.5, unguided_later=0.0)
+    assert samples(0.0, unguided_later=1.0) == samples(0.0, unguided_later=0.0)
+
+
 def test_a_run_goes_on_in_the_space_that_it_was_begun_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An earlier version laid a box around the prior; its runs end in the bits in which they would have ended then."""
     scene, short = corridor("sparse"), 5

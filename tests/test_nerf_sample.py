@@ -153,6 +153,19 @@ def test_a_share_of_the_guided_rays_stays_unguided() -> None:
     assert 0.07 < (found.offsets.diff() > 30).float().mean() < 0.13
 
 
+@pytest.mark.parametrize(
+    ("config", "shares"),
+    [
+        (SamplerConfig(unguided=0.1, unguided_later=0.5), [0.1, 0.3, 0.5, 0.5]),
+        (SamplerConfig(unguided=0.7, unguided_later=0.5), [0.7] * 4),
+        (SamplerConfig(unguided=0.03, unguided_later=0.0), [0.03] * 4),  # earlier versions
+    ],
+)
+def test_more_and_more_rays_are_freed_until_the_middle_of_a_fit(config: SamplerConfig, shares: list[float]) -> None:
+    assert [config.at(progress).unguided for progress in (0.0, 0.25, 0.5, 1.0)] == pytest.approx(shares)
+    assert dataclasses.replace(config.at(0.3), unguided=config.unguided) == config, "nothing else changes"
+
+
 def test_without_a_prior_guided_is_march() -> None:
     batch = rays(50, depth=False)
     one = Sampler(SPACE, grid(SPACE)).guided(batch, SamplerConfig(free=64), (1, 1))

@@ -200,7 +200,7 @@ def test_a_path_straight_down_and_one_that_turns_back_have_axes() -> None:
 
 @pytest.mark.parametrize("kind", ["cube", "ball", "spheres"])
 def test_cells_and_steps_near_the_camera_do_not_follow_the_path(kind: Kind) -> None:
-    for length_m in (30, 100, 300):
+    for length_m in (30, 100, 300, 1000):
         poses = drive(length_m)
         space = Space.along(poses, kind)
         place = torch.from_numpy(poses[20:21, :3, 3].copy())
