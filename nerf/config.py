@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal, TypeAlias
 
 from nerf.losses import LossConfig
 from nerf.optimise import OptimiserConfig
+from nerf.quality import BEST
 from nerf.sample import SamplerConfig
 from priors.errors import LARGEST_SEED, expect, expect_between, expect_choices
 
@@ -19,7 +20,7 @@ Align: TypeAlias = Literal["auto", "learn", "none"]
 class ModelConfig:
     """What is trained."""
 
-    family: str = "ngp"
+    family: str = BEST
     """Which family of fields: ngp, mip360, nerfpp, warp, or one of yours."""
     log2_size: int = 17
     """Rows of the hash grid's levels, as a power of two."""
