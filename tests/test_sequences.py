@@ -12,6 +12,7 @@ from cli.nerf import PROGRAM as NERF
 from cli.nerf.study import StudyArguments
 from cli.priors import PROGRAM as PRIORS
 from nerf.rate import Rate
+from nerf.run import open_run
 from priors.drives import DriveOptions, open_drive
 from priors.errors import DataError, UsageError
 from priors.sequences import SEQUENCES, Sequence, expect_whole, find
@@ -117,20 +118,46 @@ def test_commands_take_a_sequence(
 ) -> None:
     raw(tmp_path / "data")
     monkeypatch.chdir(tmp_path)
-    assert PRIORS.run(["build", "--sequence", "study-1", "--method", "lidar", "--lidar.sweeps", "1"]) == 0
-    assert len(list(tmp_path.glob("cache/*/lidar-*/depth/*.png"))) == 4
-    assert "image_02, frames 2:6" in capsys.readouterr().err
-    assert NERF.run(["fit", "data", "--sequence", "study-1", "--prior", "cache", "--steps", "1", "--rays", "64"]) == 0
-    told = capsys.readouterr().err
-    assert "image_02, frames 2:6" in told and "4 of 4 frames train" in told
-    assert [path.name[:20] for path in (tmp_path / "runs").iterdir() if path.name[0] != "."] == ["study-1-ngp-dense-l1"]
-    for command in (["build", "--method", "lidar"], ["fit"], ["study"]):
-        program = PRIORS if command[0] == "build" else NERF
+    build = ["build", "--method", "lidar", "--lidar.sweeps", "1"]
+    assert PRIORS.run([*build, "--sequence", "study-1", "--dry-run"]) == 0
+    told = capsys.readouterr()
+    assert "image_02, frames 2:6" in told.err and "4 to compute" in told.out
+    for command in (build, ["fit"], ["study"]):
+        program = PRIORS if command is build else NERF
         assert program.run([command[0], "data", *command[1:], "--sequence", "study-2"]) == 1
         lines = [line for line in capsys.readouterr().err.splitlines() if "error" in line]
         assert len(lines) == 1 and "0000000890.png: no such file: --sequence study-2" in lines[0]
         assert program.run([command[0], "data", *command[1:], "--sequence", "study-1", "--frames", "0:3"]) == 2
         capsys.readouterr()
+
+
+@pytest.mark.slow
+def test_a_fit_of_a_sequence_is_named_after_it(
+    tmp_path: Path, short: Sequence, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    raw(tmp_path / "data")
+    monkeypatch.chdir(tmp_path)
+    assert PRIORS.run(["build", "--sequence", "study-1", "--method", "lidar", "--lidar.sweeps", "1"]) == 0
+    assert len(list(tmp_path.glob("cache/*/lidar-*/depth/*.png"))) == 4
+    assert NERF.run(["fit", "data", "--sequence", "study-1", "--prior", "cache", "--steps", "1", "--rays", "64"]) == 0
+    assert "4 of 4 frames train" in capsys.readouterr().err
+    assert [path.name[:20] for path in (tmp_path / "runs").iterdir() if path.name[0] != "."] == ["study-1-ngp-dense-l1"]
+
+
+@pytest.mark.slow
+def test_table_5_is_the_same_command_on_an_argoverse_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_argoverse_tracking(tmp_path / "argoverse-tracking" / "train1" / LOG, 10)
+    monkeypatch.chdir(tmp_path)
+    assert PRIORS.run(["build", "--sequence", "study-6", "--method", "lidar", "--lidar.sweeps", "1"]) == 0
+    study = ["study", "--sequence", "study-6", "--priors", "none", "cache", "--field", "warp", "--seed", "0"]
+    assert NERF.run([*study, "--preset", "paper"]) == 0
+    capsys.readouterr()
+    page = (tmp_path / "study" / "study-6" / "study.md").read_text()
+    assert "| warp | GT Depth |" in page and "no Argoverse log" not in page and f"Drive {LOG}" in page
+    sparse = open_run(next((tmp_path / "study" / "study-6").glob("warp-sparse-lidar-*"))).config
+    assert sparse.sparse_step == 2 and sparse.parts(10) == ([0, 2, 4, 6, 8], [9])
 
 
 def test_studies_of_sequences_lie_apart() -> None:

@@ -28,9 +28,9 @@ SIZE = (48, 160)
 TURNS = (1, -1)
 
 
-@pytest.fixture(scope="module", params=TURNS)
+@pytest.fixture(scope="module", params=[1, pytest.param(-1, marks=pytest.mark.slow)])
 def street(request: pytest.FixtureRequest) -> Street:
-    return Street(3, config=with_corner(StreetConfig.draw(3, 40.0), request.param))
+    return Street(3, config=with_corner(StreetConfig.draw(3, 20.0), request.param))
 
 
 def path_of(seed: int, turn: int) -> CornerPath:
@@ -38,7 +38,7 @@ def path_of(seed: int, turn: int) -> CornerPath:
 
 
 @given(st.integers(0, 10_000), st.sampled_from(TURNS), st.floats(-50, 300), st.floats(-9, 9))
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 def test_places_beside_the_centre_line_are_found_again(seed: int, turn: int, s: float, t: float) -> None:
     path = path_of(seed, turn)
     place = path.bend(np.array([[s, t, 0.0]]))
@@ -83,7 +83,7 @@ def test_what_oxts_says_of_the_turn_is_read_back(tmp_path: Path) -> None:
     np.testing.assert_allclose(read, geometry.invert(poses[0]) @ poses, atol=1e-4)
 
 
-@pytest.mark.parametrize("time_s", [0.6, 1.7, 2.8])
+@pytest.mark.parametrize("time_s", [0.6, 2.4])
 def test_the_ground_has_no_crack_and_depth_is_that_of_any_other_view(street: Street, time_s: float) -> None:
     camera, now = rig.camera(SIZE), street.T_world_cam(time_s)
     view = street.view(now, camera, 0.0)
