@@ -188,7 +188,7 @@ def test_a_study_is_found_done_after_eval_and_begins_anew_with_another_budget(
     home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = ["study", home / "street", "--priors", "none", "--views", 2, "--out", tmp_path / "study", "--steps"]
-    run = tmp_path / "study" / "ngp-2-none-seed0"
+    run = tmp_path / "study" / "mip360-2-none-seed0"
     assert nerf(*study, 3) == 0
     first = load_file(run / "checkpoint.safetensors")
     assert nerf("eval", run) == 0
