@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 from nerf.losses import LossConfig
 from nerf.optimise import OptimiserConfig
+from nerf.quality import BEST
 from nerf.sample import SamplerConfig
 from priors.errors import LARGEST_SEED, expect, expect_between
 
@@ -15,7 +16,7 @@ MOST_RAYS, MOST_STEPS, MOST_CELLS = 1 << 20, 10**9, 1 << 20
 class ModelConfig:
     """What is trained."""
 
-    family: str = "ngp"
+    family: str = BEST
     """Which family of fields: ngp, mip360, nerfpp, warp, or one of yours."""
     log2_size: int = 17
     """Rows of the hash grid's levels, as a power of two."""

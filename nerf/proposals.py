@@ -68,15 +68,20 @@ class Proposals:
         share = min(1.0, progress / ANNEAL_SHARE)
         anneal = ANNEAL_SLOPE * share / ((ANNEAL_SLOPE - 1) * share + 1)
         rounds: list[Round] = []
+        is_guided = guided(rays, config, key)
+        most, each = _last_counts(config, is_guided)
+        counts = [(count, None) for count in self.counts[1:]]
         samples = self.sampler.march(rays, self.counts[0], key)
-        for proposal, count in zip(self.fields, [*self.counts[1:], config.count], strict=True):
+        for proposal, (count, of_each) in zip(self.fields, [*counts, (most, each)], strict=True):
             cones = self.anti_aliased and rays.pixel
             footprint = self.sampler.space.footprint(samples, rays.pixel) if cones else None
             sigma = proposal.density_forward(samples.u, samples.table, footprint)
             rendered = self._renderer.forward(samples, sigma, *_colourless(sigma, len(rays)))
             rounds.append(Round(samples, sigma, rendered))
-            weights = rendered.weights if key is None else mixed(rays, samples, rendered.weights, config, key)
-            samples = self.sampler.resample(rays, Histogram(samples, weights, MARGIN, anneal), count, key)
+            weights = rendered.weights
+            if is_guided is not None:
+                weights = mixed(rays, samples, weights, is_guided, config.reach)
+            samples = self.sampler.resample(rays, Histogram(samples, weights, MARGIN, anneal), count, key, of_each)
         return samples, rounds
 
     def backward(
@@ -96,16 +101,32 @@ class Proposals:
         return value
 
 
-def mixed(rays: Rays, samples: Samples, weights: Tensor, config: SamplerConfig, key: Key) -> Tensor:
-    """Mix weights (m,) with the prior: of a guided ray's mass PRIOR_SHARE lies evenly in the prior's band."""
-    if not config.guide or rays.depth_m is None:
-        return weights
-    is_guided = guidable(rays.depth_m, config.unguided, key)
+def guided(rays: Rays, config: SamplerConfig, key: Key | None) -> Tensor | None:
+    """Tell which rays (r,) the prior guides; None: none, as where views are rendered."""
+    if key is None or not config.guide or rays.depth_m is None:
+        return None
+    return guidable(rays.depth_m, config.unguided, key)
+
+
+def _last_counts(config: SamplerConfig, is_guided: Tensor | None) -> tuple[int, Tensor | None]:
+    """Return how many samples rays get after their proposals: at most, and each (r,) where they differ."""
+    others = config.count if config.proposed is None else config.proposed
+    if is_guided is None or others == config.count:
+        return others, None
+    return max(config.count, others), torch.where(is_guided, config.count, others)
+
+
+def mixed(rays: Rays, samples: Samples, weights: Tensor, is_guided: Tensor, reach: float) -> Tensor:
+    """Mix weights (m,) with the prior: of a guided ray's mass PRIOR_SHARE lies evenly in the prior's band.
+
+    `is_guided` (r,): which rays those are; `reach`: half width of the band, as a share of the prior's depth.
+    """
+    assert rays.depth_m is not None
     ray = samples.ray[: samples.used].long()
     depth_m = torch.where(is_guided, rays.depth_m, 0.0)[ray]
     t, s0, s1 = (x[: samples.used] for x in (samples.t, samples.s0, samples.s1))
     half_m = samples.dt_m[: samples.used] / (2 * rays.norms[ray])
-    inside = (depth_m > 0) & ((t - depth_m).abs() <= config.reach * depth_m + half_m)
+    inside = (depth_m > 0) & ((t - depth_m).abs() <= reach * depth_m + half_m)
     mass = torch.where(inside, s1 - s0, 0.0)
 
     def total(x: Tensor) -> Tensor:

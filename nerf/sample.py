@@ -35,8 +35,11 @@ GROWN = 0.5
 class SamplerConfig:
     """How many samples rays get, and what they skip."""
 
-    count: int = 32
-    """Samples of a ray that the prior guides, and of a ray after its proposals."""
+    count: int = 16
+    """Samples of a ray that the prior guides."""
+    proposed: int | None = 32
+    """Samples of a ray after its proposals, where no prior guides it: with 16, colours alone do not learn depth;
+    none: as many as `count`."""
     free: int = 48
     """Candidates of a ray without a prior; those in empty cells are dropped."""
     render: int = 256
@@ -68,6 +71,8 @@ class SamplerConfig:
     already go rarely, and then count for more; 1: all go."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {
+        "count": 32,
+        "proposed": None,
         "free": 64,
         "unguided_later": 0.0,
         "terminate": 0.0,
@@ -77,6 +82,7 @@ class SamplerConfig:
 
     def __post_init__(self) -> None:
         expect_between(2, self.count, MOST_SAMPLES, "--count")
+        expect_between(2, self.proposed, MOST_SAMPLES, "--proposed")
         expect_between(1, self.free, MOST_SAMPLES, "--free")
         expect_between(1, self.render, MOST_SAMPLES, "--render")
         expect(0 < self.reach < np.inf, "--reach", self.reach, "more than 0, a share of the depth")
@@ -136,17 +142,21 @@ class Sampler:
         )
         return self._pick(course)
 
-    def resample(self, rays: Rays, histogram: Histogram, count: int, key: Key | None = None) -> Samples:
+    def resample(
+        self, rays: Rays, histogram: Histogram, count: int, key: Key | None = None, each: Tensor | None = None
+    ) -> Samples:
         """Sample `count` intervals of even mass under the weights that a round before gave the rays' samples.
 
-        Bins are widened and their masses raised to a power first: see nerf/twin/sample.py, resample.
+        Bins are widened and their masses raised to a power first: see nerf/twin/sample.py, resample. `each` (r,): how
+        many intervals each ray gets, at most `count`; None: `count`.
         """
         course = self._course(rays, count, key)
         # All but the last end move by the same share of 1 / (count + 1), as in nerfstudio's PDF sampler.
         weights = histogram.weights
-        step = torch.arange(count + 1, device=weights.device, dtype=weights.dtype)
+        step = torch.arange(count + 1, device=weights.device, dtype=weights.dtype)[None]
         shift = course.shift if key is not None else torch.full_like(course.shift, 0.5)
-        targets = (step[None] + shift[:, None]) / (count + 1)
+        last = weights.new_tensor([[count]]) if each is None else each.to(weights.dtype)[:, None]
+        targets = (torch.minimum(step, last) + shift[:, None]) / (last + 1)  # intervals beyond a ray's last are empty
         ends = self._kernels(weights.device).resample(histogram, targets)
         return self._pick(replace(course, ends=ends, slots=count))
 

@@ -23,6 +23,7 @@ from nerf.fit import OnStep
 from nerf.guide import open_guide
 from nerf.losses import DepthLoss, DepthMean
 from nerf.prepare import ProgressBar, SceneConfig, silent
+from nerf.quality import BEST
 from nerf.report import Report
 from nerf.run import Run, RunConfig, claim
 from nerf.split import in_name
@@ -98,7 +99,7 @@ class Study:
     """Depth losses."""
     views: tuple[str, ...] = ("dense", "sparse")
     """Training views: dense, sparse, a share 1/N or a number."""
-    fields: tuple[str, ...] = ("ngp",)
+    fields: tuple[str, ...] = (BEST,)
     """Families of fields."""
     clips: tuple[float | None, ...] = (None,)
     """Farthest depths that are used, metres: 40 and 80 in the paper."""

@@ -180,7 +180,7 @@ def test_a_run_goes_on_and_says_where_nothing_is_left(
     assert "trained before" not in told
     assert re.findall(r"^(\w+)[: ]", told, re.MULTILINE)[:4] == ["run", "views", "field", "training"]
     assert "96x32: 9 of 10 frames train, 1 are held out" in told
-    assert f"field: ngp, guided by {prior_of(home).name}, loss l1; 4 steps, goes on from step 3, " in told
+    assert f"field: mip360, guided by {prior_of(home).name}, loss l1; 4 steps, goes on from step 3, " in told
     assert "other settings" in refused(capsys, *fit, 4, "--views", "sparse")
 
 
@@ -188,7 +188,7 @@ def test_a_study_is_found_done_after_eval_and_begins_anew_with_another_budget(
     home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     study = ["study", home / "street", "--priors", "none", "--views", 2, "--out", tmp_path / "study", "--steps"]
-    run = tmp_path / "study" / "ngp-2-none-seed0"
+    run = tmp_path / "study" / "mip360-2-none-seed0"
     assert nerf(*study, 3) == 0
     first = load_file(run / "checkpoint.safetensors")
     assert nerf("eval", run) == 0

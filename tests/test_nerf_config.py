@@ -17,6 +17,7 @@ from priors.errors import DataError
 
 WRONG: list[tuple[type[Any], str, list[Any]]] = [
     (SamplerConfig, "count", [1, 0, -5]),
+    (SamplerConfig, "proposed", [1]),
     (SamplerConfig, "free", [0]),
     (SamplerConfig, "unguided_later", [-0.1, 1.5]),
     (SamplerConfig, "render", [0]),

@@ -97,7 +97,7 @@ def test_without_truth_one_line_says_so(tmp_path: Path, with_truth: set[int], vi
 def test_a_run_remembers_that_it_leant_on_the_truth(tmp_path: Path) -> None:
     drive = Known(ALL, ALL - TEST)
     run = begin(drive, TRUTH, SceneConfig("sparse"), FitConfig(steps=1), tmp_path / "run")
-    assert (run.config.prior, run.config.title) == ("truth", "ngp-sparse-l1-truth")
+    assert (run.config.prior, run.config.title) == ("truth", "mip360-sparse-l1-truth")
     opened = open_run(run.folder).config
     assert opened.prior is not None and open_guide(opened.prior) is TRUTH
     assert run.scene.train == split(20, "sparse")[0]

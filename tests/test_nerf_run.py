@@ -93,7 +93,7 @@ def test_a_drive_of_ones_own_is_fitted_and_scored(street: Path, tmp_path: Path) 
 def test_a_run_is_named_after_what_it_is(street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     made = begin(open_drive(street), scene=SceneConfig(views="sparse"), fit=config())
-    assert made.folder == Path("runs") / f"{open_drive(street).name}-ngp-sparse"
+    assert made.folder == Path("runs") / f"{open_drive(street).name}-mip360-sparse"
     with pytest.raises(DataError, match="expected dense, sparse, a share"):
         _ = begin(open_drive(street), scene=SceneConfig(views="x"), fit=config()).scene
 
@@ -124,13 +124,13 @@ def test_a_table_s_names_are_as_short_as_they_can_be() -> None:
     def made(folder: str, prior: str | None) -> Run:
         return Run(Path(folder), RunConfig({}, prior, None, "sparse", Filters(), config()))
 
-    alone, stereo = made("runs/street-ngp-sparse", None), "street-ngp-sparse-l1-stereo-"
+    alone, stereo = made("runs/street-mip360-sparse", None), "street-mip360-sparse-l1-stereo-"
     one = made(f"runs/{stereo}0123456789", "cache/street/stereo-0123456789")
     other = made(f"runs/{stereo}abcdef0123", "cache/street/stereo-abcdef0123")
-    assert names_of([alone, one]) == ["ngp-sparse", "ngp-sparse-l1-stereo"]
+    assert names_of([alone, one]) == ["mip360-sparse", "mip360-sparse-l1-stereo"]
     assert names_of([one, other]) == [f"{stereo}0123456789", f"{stereo}abcdef0123"]
-    assert names_of([alone, made("runs/mine", None)]) == ["ngp-sparse", "mine"]
-    assert names_of([alone, made("ngp-sparse", None)]) == ["street-ngp-sparse", "ngp-sparse"]
+    assert names_of([alone, made("runs/mine", None)]) == ["mip360-sparse", "mine"]
+    assert names_of([alone, made("mip360-sparse", None)]) == ["street-mip360-sparse", "mip360-sparse"]
 
 
 def test_views_are_rendered_where_they_are_asked_for(street: Path, tmp_path: Path) -> None:

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from nerf import sample
 from nerf.kernels import Kernels, cpu_kernels, plain_kernels
 from nerf.occupancy import Occupancy
+from nerf.proposals import Proposals
 from nerf.sample import Sampler, SamplerConfig
 from nerf.space import Kind, Space
 from nerf.twin import sample as twin
@@ -290,6 +291,34 @@ def test_widening_fills_between_bins_with_the_larger_density() -> None:
     torch.testing.assert_close(edges[0], torch.tensor([0.05, 0.35, 0.45, 0.85]).double(), atol=1e-6, rtol=0)
     torch.testing.assert_close(mass[0] / edges[0].diff(), torch.tensor([1.0, 3.0, 3.0]).double(), atol=1e-5, rtol=0)
     assert not gap.any()
+
+
+@pytest.mark.parametrize("key", [None, (0, 1)])
+def test_rays_are_resampled_as_often_as_each_is_asked(key) -> None:
+    batch, sampler = rays(60), Sampler(SPACE, grid(SPACE))
+    first = sampler.march(batch, 24, key)
+    bins = Histogram(first, torch.rand(len(first.t), generator=torch.Generator().manual_seed(3)), 0.01)
+    few, many = (sampler.resample(batch, bins, count, key) for count in (5, 12))
+    each = torch.where(torch.arange(60) % 3 == 0, 5, 12)
+    mixed = sampler.resample(batch, bins, 12, key, each)
+    for ray in range(60):
+        whole = few if each[ray] == 5 else many
+        for name in ("t", "dt_m", "s0", "s1", "u"):
+            mine, own = (getattr(x, name)[x.offsets[ray] : x.offsets[ray + 1]] for x in (mixed, whole))
+            assert torch.equal(mine, own)
+
+
+def test_the_prior_spares_samples_of_the_rays_that_it_guides() -> None:
+    batch = dataclasses.replace(rays(200), depth_m=torch.where(torch.arange(200) < 120, 12.0, 0.0))
+    proposals = Proposals((48,), Sampler(SPACE), torch.device("cpu"), 0, False)
+
+    def counts(key, **settings) -> torch.Tensor:
+        config = SamplerConfig(count=10, unguided=0.0, **settings)
+        return proposals.sample(batch, config, key, 1.0)[0].offsets.diff()
+
+    assert counts((0, 1), proposed=30)[:120].max() == 10 and counts((0, 1), proposed=30)[120:].max() == 30
+    assert counts((0, 1), proposed=30, guide=False).max() == counts(None, proposed=30).max() == 30
+    assert counts((0, 1), proposed=None).max() == counts(None, proposed=None).max() == 10
 
 
 def test_resampling_goes_where_the_weight_is() -> None:

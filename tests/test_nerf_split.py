@@ -160,5 +160,5 @@ def test_names_of_folders_have_no_slash(tmp_path: Path) -> None:
     assert in_name("1/8") == "1of8"
     assert RunSpec("ngp", "1/8", NONE).name == "ngp-1of8-none-seed0"
     run = begin(Corridor(), None, SceneConfig("1/8"), FitConfig(steps=1), tmp_path / "run")
-    assert (run.config.title, run.config.views) == ("ngp-1of8", "1/8")
+    assert (run.config.title, run.config.views) == ("mip360-1of8", "1/8")
     assert open_run(run.folder).config.parts(20)[0] == run.scene.train == split(20, "dense")[0][::8]

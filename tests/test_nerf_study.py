@@ -126,7 +126,7 @@ def test_other_settings_or_damaged_metrics_are_run_again(tmp_path):
     longer = Runner()
     made(study, tmp_path, longer, {**SETTINGS, "fit": {"seconds": 120.0}})
     assert len(longer.made) == 1
-    (tmp_path / "ngp-dense-none-seed0" / "metrics.json").write_text('{"form')
+    (tmp_path / "mip360-dense-none-seed0" / "metrics.json").write_text('{"form')
     repaired = Runner()
     made(study, tmp_path, repaired)
     assert len(repaired.made) == 1
@@ -137,7 +137,7 @@ def test_a_failed_run_is_told_and_the_others_go_on(tmp_path):
     assert [outcome.error for outcome in outcomes] == ["", f"{LIDAR}: no map", ""]
     laid = lay_out(outcomes)
     assert len(laid.cells) == 2
-    assert laid.notes == [f"ngp-dense-lidar-0123456789-l1-seed0 failed: {LIDAR}: no map"]
+    assert laid.notes == [f"mip360-dense-lidar-0123456789-l1-seed0 failed: {LIDAR}: no map"]
     with pytest.raises(ScoreError, match=r"no run has figures; .*no map"):
         lay_out([outcomes[1]])
 
@@ -200,7 +200,7 @@ def test_every_format_is_written_with_its_commands(tmp_path):
     assert [path.name for path in paths] == [*tables, "density.png", "density.svg", "density.pdf", "report.html"]
     markdown, latex, plain, table = (path.read_text() for path in paths[:4])
     assert markdown.startswith("| field | views | prior | density | PSNR dB ↑ |")
-    assert "| ngp | dense | lidar-0123456789 | all | **24.00** |" in markdown
+    assert "| mip360 | dense | lidar-0123456789 | all | **24.00** |" in markdown
     fits = [f"nerf fit {spec.name}" for spec in study.runs()]
     assert markdown.endswith("\n```bash\n" + "\n".join([typed, *fits]) + "\n```\n")
     assert latex.startswith(f"% {typed}\n")
@@ -223,14 +223,14 @@ def test_every_format_is_written_with_its_commands(tmp_path):
 def test_the_density_curve_has_a_plot_a_view_setting_and_a_level_without_prior(tmp_path):
     study = Study(priors=(NONE, LIDAR), densities=(0.3, 0.1, None), seeds=(0, 1))
     plots = density_curves(made(study, tmp_path))
-    assert list(plots) == ["ngp, dense views", "ngp, sparse views"]
-    curve, level = plots["ngp, dense views"]
+    assert list(plots) == ["mip360, dense views", "mip360, sparse views"]
+    curve, level = plots["mip360, dense views"]
     assert (curve.label, curve.x.tolist()) == ("lidar-0123456789", [10, 30, 100])
     assert curve.y == pytest.approx([23.6, 23.8, 24.5])  # means over seeds
     assert (level.label, level.dashed, level.x.tolist()) == (NONE, True, [10, 100])
     assert level.y == pytest.approx([23.5, 23.5])
     losses = density_curves(made(Study(priors=(LIDAR,), densities=(0.1, None), losses=("l1", "kl")), tmp_path))
-    assert [line.label for line in losses["ngp, sparse views"]] == ["lidar-0123456789, l1", "lidar-0123456789, kl"]
+    assert [line.label for line in losses["mip360, sparse views"]] == ["lidar-0123456789, l1", "lidar-0123456789, kl"]
     assert density_curves(made(Study(priors=(NONE, LIDAR)), tmp_path / "other")) == {}
 
 

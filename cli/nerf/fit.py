@@ -15,6 +15,7 @@ from nerf.checkpoint import Spent
 from nerf.config import FitConfig, ModelConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
+from nerf.quality import AUTO, SECONDS, Quality, family_of
 from nerf.rate import Rate
 from nerf.run import RUNS, Run, RunConfig, begin
 from nerf.sample import SamplerConfig
@@ -29,10 +30,10 @@ EXAMPLES = """Train a field on a drive and score its held-out views (every 10th 
 
 examples:
   nerf fit --prior cache/                                           the drive and the prior that the cache has
-  nerf fit street/ --prior cache/DRIVE/stereo-KEY --views sparse --time 60s
+  nerf fit street/ --prior cache/DRIVE/stereo-KEY --views sparse --quality high
   nerf fit street/ --views sparse                                   colours alone
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
-  nerf fit street/ --prior cache/DRIVE/stereo-KEY --field mip360 --steps 3000 --run runs/mip
+  nerf fit street/ --prior cache/DRIVE/stereo-KEY --field nerfpp --steps 3000 --run runs/npp
 """
 UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
 MOST_S = 365 * 24 * 3600.0
@@ -55,8 +56,10 @@ class FitArguments(ThreadArguments, SequenceArguments):
     a share (1/8: every 8th) or a number."""
     frames: str | None = None
     """Range of frames, a:b."""
-    time: str = "60s"
-    """How long to train: 60s, 5m, 1h."""
+    quality: Quality = "default"
+    """How long to train: fast 10 s, default 60 s, high 5 min."""
+    time: str | None = None
+    """Train so long instead: 60s, 5m, 1h."""
     steps: int | None = None
     """Train so many steps instead: the same seed gives the same bits on a CPU."""
     rays: int = 1024
@@ -73,8 +76,8 @@ class FitArguments(ThreadArguments, SequenceArguments):
     sampler: tyro.conf.OmitArgPrefixes[SamplerConfig] = field(default_factory=SamplerConfig)
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
-    field: FieldName = "ngp"
-    """Family of fields."""
+    field: FieldName | Literal["auto"] = AUTO
+    """Family of fields; auto: the one that measured best, mip360."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -84,10 +87,16 @@ class FitArguments(ThreadArguments, SequenceArguments):
         """Return which frames are used, and what of the prior."""
         return SceneConfig(self.views, self.frame_range(self.frames), self.filters)
 
+    @property
+    def family(self) -> str:
+        """The family that is trained."""
+        return family_of(self.field)
+
     def config(self) -> FitConfig:
         """Return what decides the fit's outcome."""
-        timed = None if self.steps is not None else seconds(self.time)
-        model = ModelConfig(family=self.field, width=self.width, sampler=self.sampler)
+        asked = SECONDS[self.quality] if self.time is None else seconds(self.time)
+        timed = None if self.steps is not None else asked
+        model = ModelConfig(family=self.family, width=self.width, sampler=self.sampler)
         return FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
 
 
@@ -102,7 +111,7 @@ def run(arguments: list[str]) -> int:
 
 
 def _fit(args: FitArguments, typed: list[str]) -> int:
-    if args.prior is None and not fields.is_trained(args.field):
+    if args.prior is None and not fields.is_trained(args.family):
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
     with busy("looking at the drive and its priors"):
         drive, prior = open_sources(args, args.prior, typed)
@@ -120,7 +129,7 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     _tell(scene, this_run, before)
     with fit_progress("training") as on_step:
         this_run.fit(args.device, on_step)
-    if fields.is_trained(args.field) and before.step == checkpoint.spent(this_run.folder).step:
+    if fields.is_trained(args.family) and before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
     if scene.test:
         print_tables([this_run], [this_run.report(args.device, args.lpips.open())])

@@ -24,6 +24,7 @@ from nerf.paper import page
 from nerf.paper.measured import Measured
 from nerf.paper.numbers import FIELDS
 from nerf.paper.plan import FEW_VIEWS, Plan
+from nerf.quality import BEST
 from nerf.split import check_views, held_out, split
 from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, left_of, run_study
 from priors.errors import LARGEST_SEED, UsageError, expect_between
@@ -62,7 +63,7 @@ class StudyArguments(ThreadArguments, SequenceArguments):
     preset: Literal["none", "paper"] = "none"
     """paper: all tables and findings of the study of docs/study.md; says what it takes, goes on after a kill."""
     field: tuple[FieldName, ...] = ()
-    """Families of fields; default: ngp, with --preset paper the study's three."""
+    """Families of fields; default: mip360, with --preset paper the study's three."""
     clip: tuple[float, ...] = ()
     """Farthest depths of the prior that are used, metres."""
     confidence: tuple[float, ...] = ()
@@ -128,7 +129,7 @@ class StudyArguments(ThreadArguments, SequenceArguments):
             priors=named_priors(self.priors),
             losses=self.loss,
             views=self.views,
-            fields=self.field or ("ngp",),
+            fields=self.field or (BEST,),
             clips=self.clip or (None,),
             confidences=self.confidence or (None,),
             keeps=self.keep or (None,),

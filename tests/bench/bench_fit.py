@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from nerf import checkpoint
-from nerf.config import FitConfig
+from nerf.config import FitConfig, ModelConfig
 from nerf.fit import Status, fit
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig, open_scene
@@ -44,7 +44,7 @@ def main() -> None:
     prior = build.prepare(drive, Stereo(), filters, options.folder / "cache").run().prior
     warm = open_scene(drive, prior, SceneConfig("sparse"), options.folder / "scenes")
     with tempfile.TemporaryDirectory() as runs:
-        fit(warm, FitConfig(steps=5), Path(runs) / "warm")  # compiles
+        fit(warm, FitConfig(ModelConfig("ngp"), steps=5), Path(runs) / "warm")  # compiles
         print(f"{'':24}" + "".join(f"{time:>18g} s" for time in options.times))
         for views in ("dense", "sparse"):
             for made in (None, prior):
@@ -59,7 +59,7 @@ def main() -> None:
 
 def curve(scene: Scene, drive: Drive, run: Path, times: list[float]) -> list[tuple[float, float]]:
     """Train to each time in turn; return the held-out views' mean PSNR (dB) and AbsRel."""
-    config = FitConfig(losses=LossConfig(loss="mse"), seconds=times[-1])
+    config = FitConfig(ModelConfig("ngp"), LossConfig(loss="mse"), seconds=times[-1])
     figures = []
     for time in times:
 

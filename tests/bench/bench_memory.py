@@ -91,7 +91,7 @@ def link(home: Path, count: int, size: tuple[int, int]) -> None:
 
 def measure(home: Path, count: int, steps: int) -> dict[str, object]:
     """Prepare, fit, render; return the peak so far (GiB) and the seconds of each, and the size of what is mapped."""
-    from nerf.config import FitConfig
+    from nerf.config import FitConfig, ModelConfig
     from nerf.fit import fit
     from nerf.prepare import SceneConfig, open_scene
     from priors import cache
@@ -109,7 +109,7 @@ def measure(home: Path, count: int, steps: int) -> dict[str, object]:
     drive = open_drive(home / f"drive{count}")
     scene = open_scene(drive, cache.only(home / "cache" / drive.name), SceneConfig(), run / "scenes")
     note("preparing")
-    model = fit(scene, FitConfig(steps=steps, seconds=None), run / "fit")
+    model = fit(scene, FitConfig(ModelConfig("ngp"), steps=steps, seconds=None), run / "fit")
     note("fitting")
     model.render(scene.T_world_cam[scene.test[0]], scene.camera)
     note("render")

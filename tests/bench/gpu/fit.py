@@ -13,7 +13,7 @@ import torch
 from eval.image import ImageScore
 from eval.protocol import preset
 from eval.result import Comparison, score_frame
-from nerf.config import FitConfig
+from nerf.config import FitConfig, ModelConfig
 from nerf.fit import Status, fit
 from nerf.losses import LossConfig
 from nerf.model import Model
@@ -64,7 +64,7 @@ def run(options: Namespace) -> None:
             scene = replace(scene, test=scene.test[len(scene.test) // 2 :][:1])
             note(left_out="all held-out views but one, and most of the steps")
         began = time.perf_counter()
-        config = FitConfig(losses=LossConfig(loss="mse"), steps=20)
+        config = FitConfig(ModelConfig("ngp"), LossConfig(loss="mse"), steps=20)
         fit(scene, config, Path(folder) / "warm", device=options.device)
         note(carving_and_compiling_s=round(time.perf_counter() - began, 1))
         for i, asked in enumerate(_shorter(asked, options.scale, rehearsal) for asked in FITS):
@@ -84,7 +84,8 @@ def _shorter(asked: Asked, scale: float, rehearsal: bool) -> Asked:
 
 def _one(scene: Scene, asked: Asked, run: Path, options: Namespace) -> None:
     """Make one fit and note what it scores."""
-    config = FitConfig(losses=LossConfig(loss="mse"), rays=asked.rays, steps=asked.steps, seconds=asked.seconds)
+    model, losses = ModelConfig("ngp"), LossConfig(loss="mse")
+    config = FitConfig(model, losses, rays=asked.rays, steps=asked.steps, seconds=asked.seconds)
     last: list[Status] = []
 
     def keep(status: Status) -> None:

@@ -1,0 +1,87 @@
+"""Quality at equal processor time: python tests/bench/bench_families.py DRIVE CACHE [--field ...] [--budgets 16 48 96]
+
+One thread and seconds of processor time, so that other programs change little; `nerf bench` has wall time. Each budget
+is a fit of its own: the learning rate falls until just then. Sparse views; PSNR of the held-out views, and AbsRel
+against the drive's truth or LiDAR up to 80 m, means over the views. `field@count` gives guided rays so many samples.
+"""
+
+import argparse
+import itertools
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from nerf import fields
+from nerf.config import FitConfig, ModelConfig
+from nerf.model import Model
+from nerf.prepare import SceneConfig, open_scene
+from nerf.sample import SamplerConfig
+from nerf.scene import Scene
+from nerf.truths import Truths
+from priors import cache
+from priors.drives import open_drive
+from priors.machine import threads
+
+WARM_STEPS, FARTHEST_M = 3, 80.0
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("drive")
+    parser.add_argument("cache")
+    parser.add_argument("--field", nargs="+", default=["ngp", "mip360", "nerfpp"])
+    parser.add_argument("--budgets", nargs="+", type=float, default=[16, 48, 96])
+    parser.add_argument("--seed", nargs="+", type=int, default=[0])
+    options = parser.parse_args()
+    drive = open_drive(Path(options.drive))
+    priors = {"none": None, "prior": cache.only(Path(options.cache))}
+    with tempfile.TemporaryDirectory() as folder, threads.limited(1), threads.quiet():
+        print(f"{'field':12s}{'':8s}{'seed':>5s}{'seconds':>8s}{'steps':>7s}{'PSNR dB':>9s}{'AbsRel':>8s}")
+        for label, prior in priors.items():
+            scene = open_scene(drive, prior, SceneConfig("sparse"), Path(folder) / label)
+            truths = Truths(drive, [scene.ids[each] for each in scene.test])
+            for name, seed, budget_s in itertools.product(options.field, options.seed, options.budgets):
+                model, steps = fit(scene, config(name, seed), budget_s)
+                psnr, abs_rel = score(scene, truths, model)
+                row = f"{name:12s}{label:8s}{seed:5d}{budget_s:8g}{steps:7d}{psnr:9.2f}{abs_rel:8.4f}"
+                print(row, flush=True)
+
+
+def config(name: str, seed: int) -> FitConfig:
+    """Return the settings of a field, "mip360" or "mip360@32"."""
+    family, _, count = name.partition("@")
+    sampler = SamplerConfig(count=int(count)) if count else SamplerConfig()
+    return FitConfig(ModelConfig(family, sampler=sampler), seed=seed)
+
+
+def fit(scene: Scene, config: FitConfig, budget_s: float) -> tuple[Model, int]:
+    """Train until the processor time is spent, once all kernels are compiled; returns the model and its steps."""
+    family = fields.family(config.model.family)
+    warm = family.start(scene, config, "cpu")
+    for step in range(WARM_STEPS):
+        warm.train(scene, config, step, 0.0)
+    begun_s, model, steps = time.process_time(), family.start(scene, config, "cpu"), 0
+    while (spent_s := time.process_time() - begun_s) < budget_s:
+        model.train(scene, config, steps, spent_s / budget_s)
+        steps += 1
+    return model, steps
+
+
+def score(scene: Scene, truths: Truths, model: Model) -> tuple[float, float]:
+    """Return PSNR and AbsRel of the held-out views."""
+    psnr, abs_rel = [], []
+    for position in scene.test:
+        view = model.render(scene.T_world_cam[position], scene.camera)
+        psnr.append(-10 * np.log10(np.mean((np.clip(view.rgb, 0, 1) - scene.images[position] / 255) ** 2)))
+        truth = truths(scene.ids[position])
+        if truth is not None:
+            known = (truth.depth_m > 0) & (truth.depth_m < FARTHEST_M)
+            off_m = np.abs(np.clip(view.depth_m[known], 1e-3, FARTHEST_M) - truth.depth_m[known])
+            abs_rel.append(np.mean(off_m / truth.depth_m[known]))
+    return float(np.mean(psnr)), float(np.mean(abs_rel)) if abs_rel else np.nan
+
+
+if __name__ == "__main__":
+    main()
