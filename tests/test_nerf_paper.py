@@ -50,9 +50,9 @@ def contrary(spec: RunSpec) -> tuple[float, float]:
     truth = role_of(spec.prior) == TRUTH
     loss = {"l1": -2, "kl": 3}.get(spec.loss or "", 0) + 2 * (spec.clip is not None) - 2 * (spec.confidence is not None)
     loss += 3 * (spec.density is not None) + 2 * spec.truth_mask - 3 * (role_of(spec.prior) == MONO)
-    return (
-        25.0 if spec.prior == NONE else 21.0 + loss - psnr / 1e6
-    ), 0.5 if spec.prior == NONE else 0.6 + abs_rel + 0.4 * (not truth)
+    if spec.prior == NONE:
+        return 25.0, 0.5
+    return 21.0 + loss - psnr / 1e6, 0.6 + abs_rel + 0.4 * (not truth)
 
 
 class Known(Runner):
