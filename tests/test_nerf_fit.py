@@ -117,9 +117,10 @@ def test_a_prior_does_not_move_the_space(family: str) -> None:
     wrong = np.where(rng.random(scene.depth_m.shape) < 0.3, 10 * scene.depth_m, scene.depth_m).astype(np.float32)
     near = np.where(scene.depth_m < 6, scene.depth_m, 0)
     thin = np.where(rng.random(scene.depth_m.shape) < 0.01, scene.depth_m, 0)
-    laid = {
-        start(replace(scene, depth_m=each), config(), "cpu").space for each in (scene.depth_m, wrong, near, thin, None)
-    }
+    model = replace(config(family=family).model, sampler=SamplerConfig(carve=False))
+    settings = replace(config(), model=model)
+    maps = (scene.depth_m, wrong, near, thin, None)
+    laid = {start(replace(scene, depth_m=each), settings, "cpu").space for each in maps}
     assert len(laid) == 1
 
 

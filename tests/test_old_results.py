@@ -171,7 +171,7 @@ def test_an_old_run_is_gone_on_with_by_the_command_that_began_it(home: Path) -> 
 
 def test_a_study_finds_its_old_run_done(home: Path, capsys: pytest.CaptureFixture[str]) -> None:
     then = json.loads((home / "study" / STUDIED / "metrics.json").read_text())
-    grid = ["--loss", "kl", "--views", 2, "--keep", 0.9, "--steps", 2, "--out", "study"]
+    grid = ["--field", "ngp", "--loss", "kl", "--views", 2, "--keep", 0.9, "--steps", 2, "--out", "study"]
     assert nerf("study", "street", "--priors", f"maps/{DRIVE}/{LIDAR}", *grid) == 0
     assert f"{STUDIED}: done before" in capsys.readouterr().err
     assert json.loads((home / "study" / STUDIED / "metrics.json").read_text()) == then

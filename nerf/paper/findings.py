@@ -21,7 +21,9 @@ LESS_ERROR = 0.3
 """Share of AbsRel that a prior takes at least, where the study says that geometry improves."""
 PRIORS = (TRUTH, COMPLETION, STEREO, MONO)
 OFF = 0.1
-"""A field whose depth is worse than this learned it from a prior that is off."""
+"""A field whose AbsRel is larger than this may have learned from a prior that is off, ..."""
+WORSE = 1.3
+"""... and has where it is so many times that of the field that learned from true depth."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ def mono_is_enough(measured: Measured) -> Finding:
         told = f"{mono - truth:+.2f} dB beside true depth" + ("" if study is None else f" (study {study:+.2f})")
         tests.append(Test(field, mono > truth - NEAR_DB and mono > alone, told))
     says = "Monocular depth is enough for sparse views: it comes within 0.4 dB of true depth."
-    return _finding(says, tests, lambda: _why_mono(measured))
+    return _finding(says, tests, lambda: _off(measured, (MONO,)))
 
 
 def dense_is_geometry(measured: Measured) -> Finding:
@@ -175,7 +177,7 @@ def few_views(measured: Measured) -> Finding:
             study = numbers.FEW.get((views, role))
             beside = "" if study is None else f" (study {study[0] - numbers.FEW[views, NONE][0]:+.1f})"
             tests.append(Test(f"{views} {role}", psnr > alone, f"{psnr - alone:+.2f} dB{beside}"))
-    return _finding("Depth helps with 1/8 and 1/16 of the views.", tests, lambda: _why_mono(measured))
+    return _finding("Depth helps with 1/8 and 1/16 of the views.", tests, lambda: _off(measured, (MONO,)))
 
 
 RULES: Sequence[Callable[[Measured], Finding]] = (
@@ -221,15 +223,16 @@ def _why_less(measured: Measured) -> str:
         alone, row = measured.psnr(NONE, field), TABLE_3.get((field, NONE, "sparse"))
         if alone is not None and row is not None and alone > row.psnr + 1:
             reasons.append(f"{FIELDS[field]} by colours alone is {alone - row.psnr:.1f} dB better here than there")
-    return "; ".join([*reasons, *filter(None, [_why_mono(measured)])])
+    return "; ".join([*reasons, *filter(None, [_off(measured, (COMPLETION, STEREO, MONO))])])
 
 
-def _why_mono(measured: Measured) -> str:
-    """Say where a field's depth shows that the prior it learned from is off."""
+def _off(measured: Measured, roles: Sequence[str]) -> str:
+    """Say whose fields have a depth that shows that the prior is off: far worse than by true depth, at its best."""
     off = []
-    for role in (COMPLETION, STEREO, MONO):
+    for role in roles:
         errors = [measured.abs_rel(role, field) for field in measured.plan.fields]
         known = [error for error in errors if error is not None]
-        if known and min(known) > OFF:
+        truths = [error for field in measured.plan.fields if (error := measured.abs_rel(TRUTH, field)) is not None]
+        if known and min(known) > max(OFF, WORSE * min(truths, default=0.0)):
             off.append(f"{role} is off: the fields that lean on it have an AbsRel of {min(known):.3f} and more")
     return "; ".join(off)

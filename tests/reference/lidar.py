@@ -1,17 +1,18 @@
 """The LiDAR method's steps as loops: slow, obvious, and what the fast ones must equal."""
 
 import numpy as np
-import scipy.linalg
 
 
 def untwist(xyz_m, time_s, velocity):
-    """One matrix exponential a point: p(t_ref) = Exp(t * angular) p + t * linear."""
-    out = np.zeros((len(xyz_m), 3))
+    """One matrix exponential a point, by its series: p(t_ref) = Exp(t * angular) p + t * linear."""
     a, b, c = velocity[3:]
     turn = np.array([[0, -c, b], [c, 0, -a], [-b, a, 0]])
-    for i, t in enumerate(time_s.astype(np.float64)):
-        out[i] = scipy.linalg.expm(t * turn) @ xyz_m[i].astype(np.float64) + t * velocity[:3]
-    return out
+    t = time_s.astype(np.float64)[:, None]
+    term = out = xyz_m.astype(np.float64)
+    for power in range(1, 60):
+        term = t * (term @ turn.T) / power
+        out = out + term
+    return out + t * velocity[:3]
 
 
 def splat(sweeps, size, agree, free_m):
