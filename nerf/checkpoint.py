@@ -55,8 +55,11 @@ def begin(run: Path, scene: Scene, config: FitConfig, device: str) -> Model:
     family = fields.family(config.model.family)
     if not (run / NAME).exists() or not isinstance(family, GoesOn):
         return family.start(scene, config, device)
+    metadata = _metadata(run)
     try:
-        return family.go_on(scene, config, _record(_metadata(run)), device)
+        if json.loads(metadata["config"])["family"] != config.model.family:
+            return family.start(scene, config, device)  # another family's: it is refused when it is loaded
+        return family.go_on(scene, config, _record(metadata), device)
     except (ValueError, KeyError, TypeError) as error:
         raise _damaged(run / NAME, error) from error
 
