@@ -25,6 +25,7 @@ from nerf.evidence.patches import Shot
 from nerf.evidence.scale import FACTORS, along, look, scale_of, wrong_share
 from nerf.evidence.votes import ROUNDS, Council
 from nerf.scene import Scene
+from nerf.warp.frames import unlike_m
 from priors.sky import sky_mask
 
 Floats = npt.NDArray[np.float32]
@@ -44,8 +45,6 @@ USUAL = 0.1
 all are kept: a loss that is trimmed stands them, and those of them that are right are missed."""
 MOST_DROPPED = 0.5
 """Share of the values that other frames contradict above which nothing is known of those that are left."""
-TURN_M = 10.0
-"""A camera turned by 1 radian is as unlike as one that is so many metres away."""
 
 
 @dataclass(frozen=True)
@@ -174,9 +173,7 @@ class _Check:
     def _nearest(self, position: int, frames: list[int]) -> list[int]:
         """Return the frames nearest to one, by place and by where the camera looks."""
         poses, own = self.scene.T_world_cam[frames], self.scene.T_world_cam[position]
-        cosine = np.clip(poses[:, :3, 2] @ own[:3, 2], -1, 1)
-        away_m = np.linalg.norm(poses[:, :3, 3] - own[:3, 3], axis=1) + TURN_M * np.arccos(cosine)
-        order = [frames[index] for index in np.argsort(away_m, kind="stable")]
+        order = [frames[index] for index in np.argsort(unlike_m(poses, own), kind="stable")]
         return [other for other in order if other != position][:NEAREST]
 
     def _look(self, position: int, near: list[int], depth_m: Floats) -> Floats:

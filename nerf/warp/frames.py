@@ -32,9 +32,7 @@ class Frames:
     def nearest(self, T_world_cam: Matrix, most: int) -> list[int]:
         """Return the positions of the frames nearest to a pose, by place and by where the camera looks."""
         poses = self.scene.T_world_cam[self.positions]
-        away_m = np.linalg.norm(poses[:, :3, 3] - T_world_cam[:3, 3], axis=1)
-        cosine = np.clip(poses[:, :3, 2] @ T_world_cam[:3, 2], -1, 1)
-        order = np.argsort(away_m + TURN_M * np.arccos(cosine), kind="stable")
+        order = np.argsort(unlike_m(poses, T_world_cam), kind="stable")
         return [self.positions[index] for index in order[:most]]
 
     def surface(self, position: int) -> Surface:
@@ -59,3 +57,10 @@ class Frames:
     def _depth_m(self, position: int) -> npt.NDArray[np.float32]:
         assert self.scene.depth_m is not None
         return self.scene.depth_m[position]
+
+
+def unlike_m(poses: npt.NDArray[np.float64], T_world_cam: Matrix) -> npt.NDArray[np.float64]:
+    """Return how unlike poses (n, 4, 4) are one, (n,) metres: by place, and by where the camera looks."""
+    away_m = np.linalg.norm(poses[:, :3, 3] - T_world_cam[:3, 3], axis=1)
+    cosine = np.clip(poses[:, :3, 2] @ T_world_cam[:3, 2], -1, 1)
+    return np.asarray(away_m + TURN_M * np.arccos(cosine))
