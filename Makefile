@@ -9,7 +9,7 @@ DEVICE ?= cuda
 INSTALL := -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PIP := $(BIN)/python $(INSTALL)
 
-.PHONY: demo test modes slow browser mesh lint types bench gpu gpu-pack clean
+.PHONY: demo test modes slow browser splats datasets stress mesh lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -34,7 +34,10 @@ demo: $(VENV)/.installed  ## the whole story on the embedded street: four priors
 	@echo "open $(DEMO)/report.html in a browser"
 
 test: $(VENV)/.dev  ## the quick tests
-	$(BIN)/python -m pytest -m "not slow and not browser"
+	$(BIN)/python -m pytest -m "not slow and not browser and not splats and not datasets and not stress"
+
+splats datasets stress: $(VENV)/.dev  ## tests of one part each
+	$(BIN)/python -m pytest -q -m "$@ and not slow"
 
 # What is compiled or chosen by the CPU's mode: fields, their fit, networks.
 MODE_TESTS := $(addprefix tests/test_,nerf_mlp.py nerf_field.py nerf_grid.py nerf_render.py nerf_sample.py \
