@@ -12,7 +12,7 @@ from priors.errors import DataError
 
 
 def test_names_are_the_files() -> None:
-    assert drives.names() == ["argoverse1", "folder", "kitti_odometry", "kitti_raw"]
+    assert drives.names() == ["argoverse1", "folder", "kitti_odometry", "kitti_raw", "kitti_stereo"]
 
 
 @pytest.mark.parametrize(

@@ -18,6 +18,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from priors import extensions, refined_poses
+from priors.drives._camera_drive import BY_FRAME as BY_FRAME
 from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.drives._files import first_size as first_size
 from priors.drives._files import stems as stems
@@ -92,6 +93,17 @@ def _refined(drive: Drive, options: DriveOptions) -> RefinedDrive:
 def poses_of(description: dict[str, Any]) -> str:
     """Return which poses a drive has, by its description: as they are recorded, unless it says more."""
     return str(description.get("poses", "recorded"))
+
+
+def truth_of(description: dict[str, Any]) -> str | None:
+    """Return which truth a drive has, by its description, where the data set has several; None: it has one kind."""
+    named = description.get("truth_maps")
+    return None if named is None else str(named)
+
+
+def is_by_frame(description: dict[str, Any]) -> bool:
+    """Tell whether a drive's frames have cameras of their own, by its description: then one says nothing of others."""
+    return description.get("cameras") == BY_FRAME
 
 
 def poses_remark(drive: Drive, held_out: Collection[str]) -> tuple[str, ...]:
