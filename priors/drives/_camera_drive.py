@@ -83,6 +83,10 @@ class CameraDrive(ABC):
         """List the frame ids that each kind of file has, for the audit; a kind without files is not missed."""
         return {"other": list(self.others), **{what: list(paths) for what, paths in self.maps.items()}}
 
+    def notes(self) -> list[str]:
+        """Say what was done to the images or decided about the camera, for the audit, a line each."""
+        return []
+
     def camera_of(self, id_: str) -> Camera:
         """Return a frame's camera; a drive whose frames differ overrides it, and has BY_FRAME in its description."""
         return self.camera
