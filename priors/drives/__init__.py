@@ -8,6 +8,7 @@ Where drives lie in folders of their own below the data set's (priors/places.py 
 set knows a folder; one that has `TAKES_FX` reads --fx.
 """
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Collection
@@ -30,6 +31,7 @@ from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.types import Drive
 
 __path__.extend(extensions.folders("drives"))
+LOG = logging.getLogger(__name__)
 CACHE = Path("cache")
 """Where commands keep results unless they are told."""
 LISTED = 1000  # entries of an unknown folder that its error message looks at
@@ -86,6 +88,7 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     if options.fx is not None and not getattr(chosen, "TAKES_FX", False):
         raise UsageError(f"--fx {options.fx:g}: {name} has its own calibration: leave it out")
     drive: Drive = chosen.open_drive(path, options)
+    LOG.info("%s: %s, %d frames, read as %s", path, drive.name, len(drive.ids), name)
     if options.poses == "dead-reckoned" and poses_of(drive.describe()) != options.poses:
         raise UsageError(f"--poses dead-reckoned: {drive.name} has no velocities that fit its positions: leave it out")
     return _refined(drive, options) if options.poses == "refined" else drive
