@@ -45,7 +45,7 @@ class DriveOptions:
     """Camera to make depth for, by the data set's own name (image_02, ring_front_center, ...); default: the first
     with a partner for stereo."""
     truth: Path | None = None
-    """Folder with KITTI depth maps: holds train/<drive>/proj_depth or <drive>/proj_depth. For Argoverse 1: the folder
+    """Folder with KITTI depth maps: holds train/DRIVE/proj_depth or DRIVE/proj_depth. For Argoverse 1: the folder
     that holds disparity_maps_v1.1."""
     poses: Literal["auto", "recorded", "dead-reckoned", "refined"] = "auto"
     """Where poses come from: the positions as recorded; dead-reckoned from recorded velocities and tied to the
