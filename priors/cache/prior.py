@@ -47,7 +47,7 @@ class Prior:
 
     @property
     def name(self) -> str:
-        """Folder name, <method>-<key>."""
+        """Folder name, `<method>-<key>`."""
         return self.folder.name
 
     @property

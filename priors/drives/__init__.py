@@ -49,7 +49,7 @@ class DriveOptions:
     fx: float | None = None
     """Focal length of plain images, pixels; default: what their EXIF says. Other data sets have a calibration."""
     truth: Path | None = None
-    """Folder with KITTI depth maps: holds train/<drive>/proj_depth or <drive>/proj_depth. For Argoverse 1: the folder
+    """Folder with KITTI depth maps: holds train/DRIVE/proj_depth or DRIVE/proj_depth. For Argoverse 1: the folder
     that holds disparity_maps_v1.1. For KITTI stereo: disp_noc_0, say."""
     poses: Literal["auto", "recorded", "dead-reckoned", "refined"] = "auto"
     """Where poses come from: the positions as recorded; dead-reckoned from recorded velocities and tied to the
