@@ -9,7 +9,6 @@ import numpy as np
 
 from priors import codecs
 from priors.drives._camera_drive import BY_FRAME, CameraDrive
-from priors.drives._files import image_size
 from priors.drives._lens import Lens
 from priors.errors import DataError
 from priors.frame_ids import in_order
@@ -72,7 +71,12 @@ class PosedImages(CameraDrive):
 
     def read_map(self, path: Path, id_: str) -> Depth:
         """Read and straighten a depth map."""
-        return Depth(self.views[id_].lens.straighten_map(self.sized(codecs.read_float_map(path), path, id_)))
+        return Depth(self.shown_map(self.sized(codecs.read_float_map(path), path, id_), id_))
+
+    def shown_map(self, values: FloatMap, id_: str) -> FloatMap:
+        """Straighten a map of an image as it is stored; one of another size is left for others to refuse."""
+        lens = self.views[id_].lens
+        return lens.straighten_map(values) if values.shape == lens.size else values
 
     def sized(self, array: Any, path: Path, id_: str) -> Any:
         """Return an image or a map as it was read; DataError where it has not the calibration's size."""
@@ -90,11 +94,6 @@ def ids_of(names: list[str]) -> list[str]:
     if len(set(stems)) == len(stems):
         return stems
     return ["_".join(part for part in path.with_suffix("").parts if part not in (".", "..", "/")) for path in paths]
-
-
-def size_of(path: Path) -> tuple[int, int]:
-    """Return (height, width) of an image where no calibration says it."""
-    return image_size(path)
 
 
 def check_pose(T: Any, where: str) -> Matrix:

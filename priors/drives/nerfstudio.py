@@ -106,7 +106,7 @@ class Nerfstudio(PosedImages):
         mask = self._mask(id_)
         if mask is not None:
             depth_m = masked(depth_m, self.sized(codecs.read_image(mask), mask, id_))
-        return Depth(self.views[id_].lens.straighten_map(depth_m))
+        return Depth(self.shown_map(depth_m, id_))
 
     def _entries(self) -> list[Entry]:
         """Return the frames that the file lists; DataError where it lists none, or something else."""
