@@ -8,8 +8,8 @@ from pathlib import Path
 from nerf.checkpoint import Spent, save
 from nerf.finite import NotFiniteError, bad_tensor
 from nerf.model import Model
-from nerf.origin import Offset
 from priors.errors import DataError
+from priors.origin import Offset
 
 FIRST_S = 4.0
 """From the end of the first step, which may compile kernels, to the first checkpoint: it is there within 5 s."""
