@@ -16,6 +16,8 @@ from priors.export.views import View
 from priors.geometry import rays
 from priors.types import Matrix
 
+Step = Callable[[], None]
+"""Called when a view is done."""
 SEEN = np.dtype(
     [
         ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
@@ -25,6 +27,8 @@ SEEN = np.dtype(
 """A point: metres; its colour; the confidence of its map there, 1 where the map has none; the depth from which it was
 seen, metres; how many views see its voxel."""
 MOST_POINTS = 10**9
+MODEL_POINTS = 200_000
+"""Points where --points says nothing, for programs that start from them: what structure from motion gives."""
 _AT_ONCE = 1_000_000
 """Points that wait before they are merged: merging after each view would sort all of them each time."""
 
@@ -79,14 +83,16 @@ class Cloud:
         return np.stack([self.points[name] for name in ("red", "green", "blue")], axis=1)
 
 
-def fuse(views: Iterable[View], T_world_cam: npt.NDArray[np.float64], config: FusionConfig, most: int) -> Cloud:
+def fuse(
+    views: Iterable[View], T_world_cam: npt.NDArray[np.float64], config: FusionConfig, most: int = MODEL_POINTS
+) -> Cloud:
     """Fuse views.
 
     Args:
         views: read one after another.
         T_world_cam: (n, 4, 4) the pose of each view by its number, metres; near zero, since points are float32.
         config: which pixels become points.
-        most: most points of the cloud.
+        most: most points of the cloud where the config says nothing.
 
     Raises:
         DataError: no pixel becomes a point.
@@ -102,7 +108,8 @@ def fuse(views: Iterable[View], T_world_cam: npt.NDArray[np.float64], config: Fu
     if not len(points):
         told = f"no point within {config.reach_m:g} m that {config.views} views see"
         raise DataError(f"{told}: choose another --reach-m, --views or --voxel-m, or filter less")
-    kept = np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).astype(np.int64))
+    count = min(most if config.points is None else config.points, len(points))
+    kept = np.unique(np.linspace(0, len(points) - 1, count).astype(np.int64))
     seen_by = {number: _observations(cells[kept], *seen) for number, seen in pixels.items()}
     return Cloud(points[kept], seen_by, len(points))
 
@@ -184,7 +191,3 @@ def _observations(
     there = kept[place] == cells
     uv_px = np.stack([flat[there] % width, flat[there] // width], axis=1).astype(np.float32)
     return Observations(place[there], uv_px)
-
-
-Step = Callable[[], None]
-"""Told when a view is done."""

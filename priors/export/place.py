@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any
 
-from eval.files import write_bytes
+from eval.files import drop_stale, write_bytes
 from priors.errors import DataError
 from priors.export.views import Views
 from priors.text import read_json
@@ -52,15 +52,18 @@ def claim(folder: Path, asked: dict[str, Any]) -> None:
         OSError: it cannot be written.
     """
     path = folder / NAME
-    if path.exists():
+    if folder.exists() and not folder.is_dir():
+        raise DataError(f"{folder}: is a file: name a new folder by --out")
+    others = [entry for entry in folder.iterdir() if entry != path] if folder.exists() else []
+    if path.exists() and others:
         found = read_json(path)
         if found != json.loads(json.dumps(asked)):
-            told = f"holds another export (prior {found.get('prior')}, to {found.get('to')})"
+            told = f"holds another export (prior {found.get('prior')}, to {found.get('to')}, or other settings)"
             raise DataError(f"{folder}: {told}: delete it, or name another folder by --out")
+        drop_stale(folder)
         return
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        what = "holds other files" if folder.is_dir() else "is a file"
-        raise DataError(f"{folder}: {what}: name a new folder by --out")
+    if others:
+        raise DataError(f"{folder}: holds other files: name a new folder by --out")
     write_bytes(path, (json.dumps(asked, indent=1) + "\n").encode())
 
 

@@ -21,6 +21,13 @@ POINT = np.dtype(
 """The least that a point has; others have more fields."""
 Points: TypeAlias = npt.NDArray[np.void]
 COMMENTS = ("metres, in the drive's world frame",)
+FIELDS = (
+    "x y z: metres, in the drive's world frame",
+    "confidence: of the depth map, 0 to 1, 1 where it has none",
+    "depth: metres, along the z axis of the camera that sees the point from nearest",
+    "views: how many frames see its voxel",
+)
+"""What the points of fused maps hold: lines for the header."""
 _KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
 
 

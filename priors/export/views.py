@@ -17,6 +17,8 @@ from priors.selection import select
 from priors.types import Camera, Depth, Drive, Frame, Image, Matrix
 
 NO_FILTERS = Filters()
+PIXEL_CENTRE = 0.5
+"""Where COLMAP and nerfstudio have the centre of the top-left pixel, along both axes; ours is 0."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,11 @@ class View:
 
 @dataclass(frozen=True)
 class Views:
-    """The frames of a prior that are exported; maps and images are read when they are asked for."""
+    """The frames of a prior that are exported; maps and images are read when they are asked for.
+
+    Iterating reads one view after another and leaves out those that cannot be read: `unread` tells. DataError where
+    that is all of them.
+    """
 
     prior: Prior
     drive: Drive
@@ -64,6 +70,9 @@ class Views:
                 yield self.read(number)
             except DataError as error:
                 self.unread[id_] = str(error)
+        if len(self.unread) == len(self.ids):
+            first = next(iter(self.unread))
+            raise DataError(f"{self.prior.folder}: no frame can be exported, the first {first}: {self.unread[first]}")
 
     def read(self, number: int) -> View:
         """Read the view at a place; DataError where its map is missing, damaged or of another size."""
