@@ -98,6 +98,8 @@ def check(path: Path, benchmark: Benchmark) -> list[str]:
     wanted = {rules.names.format(number) for number in range(rules.count)}
     with zipfile.ZipFile(path) as archive:
         names = archive.namelist()
+        if missing := len(wanted - set(names)):
+            wrong.append(f"{missing} of {rules.count} test images are missing")
         for name in names:
             codes = cv2.imdecode(np.frombuffer(archive.read(name), np.uint8), cv2.IMREAD_UNCHANGED)
             if name not in wanted:
@@ -108,9 +110,6 @@ def check(path: Path, benchmark: Benchmark) -> list[str]:
                 wrong.append(f"{name}: is {codes.shape[1]}x{codes.shape[0]}, not {rules.size[1]}x{rules.size[0]}")
             elif not codes.any():
                 wrong.append(f"{name}: has no value")
-    missing = len(wanted - set(names))
-    if missing:
-        wrong.append(f"{missing} of {rules.count} test images are missing")
     more = len(wrong) - MOST_TOLD
     return wrong if more <= 0 else [*wrong[:MOST_TOLD], f"and {more} more"]
 
