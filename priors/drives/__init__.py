@@ -19,6 +19,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from priors import extensions, refined_poses
+from priors.drive_around import Stretch
 from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.drives._files import first_size as first_size
 from priors.drives._files import stems as stems
@@ -99,6 +100,8 @@ def poses_of(description: dict[str, Any]) -> str:
 
 def poses_remark(drive: Drive, held_out: Collection[str]) -> tuple[str, ...]:
     """Say of refined poses whether images or sweeps of held-out frames took part; nothing of other poses."""
+    if isinstance(drive, Stretch):
+        return poses_remark(drive.drive, held_out)
     if not isinstance(drive, RefinedDrive):
         return ()
     seen, source = len(drive.poses.looked_at(held_out)), drive.poses.record["source"]
