@@ -48,12 +48,12 @@ class Depth:
 
     def __repr__(self) -> str:
         """Tell size and values in a line: the arrays themselves are long."""
-        height, width = self.depth_m.shape
-        told = f"{width}x{height}, no value"
+        size = "x".join(str(length) for length in self.depth_m.shape[::-1])
+        told = f"{size}, no value"
         if self.valid.any():
             near_m, middle_m, far_m = np.percentile(self.depth_m[self.valid], (0, 50, 100))
             values = f"{near_m:.1f} to {far_m:.1f} m, median {middle_m:.1f} m"
-            told = f"{width}x{height}, {self.density:.1%} of the pixels have {values}"
+            told = f"{size}, {self.density:.1%} of the pixels have {values}"
         return f"Depth({told}{'' if self.confidence is None else ', with confidence'})"
 
     def _repr_html_(self) -> str:
@@ -117,7 +117,7 @@ class Rig:
     """Calibrated over true baseline."""
 
 
-Input: TypeAlias = Literal["image", "other", "sweep", "truth", "sparse", "sky"]
+Input: TypeAlias = Literal["image", "other", "sweep", "truth", "sparse", "sky", "foreground"]
 """What a frame may have, and a method or a filter may need."""
 
 
@@ -197,6 +197,10 @@ class Frame:
     def sky(self) -> Mask:
         """Read the true sky mask, where the data set knows it."""
         return self.read("sky")
+
+    def foreground(self) -> Mask:
+        """Read which pixels are objects that move by themselves, where the data set scores them apart."""
+        return self.read("foreground")
 
 
 class Drive(Protocol):
