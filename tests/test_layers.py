@@ -48,10 +48,12 @@ ROOMS = [
     "priors/export",
     "priors/street",
     "priors/learn",
+    "priors/stress",
     "nerf/types",
     "nerf/twin",
     "nerf/kernels",
     "nerf",
+    "nerf/stress",
     "cli",
 ]
 """A room is a file, or a folder with all that is in it."""

@@ -50,7 +50,7 @@ def accumulation(given: Given) -> Case:
 def _pose(given: Given, ahead_m: float) -> Matrix:
     """Return a pose (4, 4) of camera or scanner on its way, wherever the world's origin is."""
     pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = turned(given), given.far + [0, 0, ahead_m]
+    pose[:3, :3], pose[:3, 3] = turned(given), given.far + np.array([0, 0, ahead_m])
     return pose
 
 

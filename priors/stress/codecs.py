@@ -29,7 +29,7 @@ def depth_png(encoding: str) -> Callable[[Given], Case]:
 
         def wanted() -> Outputs:
             known = np.isfinite(depth_m) & (depth_m > 0)
-            codes = np.array([round(value * scale) if ok else 0 for value, ok in zip(depth_m.flat, known.flat)], object)
+            codes = np.array([round(value * scale) for value in np.where(known, depth_m, 0).flat], object)
             held = np.array([code if code <= MOST else 0 for code in codes], np.float64)
             return {"depth": (held / scale).reshape(depth_m.shape), "too large": sum(code > MOST for code in codes)}
 

@@ -2,9 +2,9 @@
 
 import math
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, Self, TypeAlias
 
 import numpy as np
 
@@ -52,6 +52,33 @@ class Table:
         """Return the cells of a routine, in one precision or in all."""
         return [c for c in self.cells if c.routine == routine and precision in (None, c.precision)]
 
+    def worst(self, routine: str, precision: str, what: Literal["value", "gradient"]) -> float | None:
+        """Return the largest error of a routine in one precision; None where nothing was measured."""
+        found = [getattr(cell, what) for cell in self.of(routine, precision)]
+        return max((each for each in found if each is not None), default=None)
+
+    def used(self, routine: str) -> float:
+        """Return how much of its tolerance a routine uses at most: 1 is all of it."""
+        limits = {"value": tolerances.VALUE, "gradient": tolerances.GRADIENT}
+        shares = (
+            (getattr(cell, what) or 0.0) / limit[cell.precision]
+            for cell in self.of(routine)
+            for what, limit in limits.items()
+        )
+        return max(shares, default=0.0)
+
+    @property
+    def routines(self) -> list[str]:
+        """The routines' names, in order."""
+        return list(dict.fromkeys(cell.routine for cell in self.cells))
+
+    @classmethod
+    def read(cls, record: dict[str, Any]) -> Self:
+        """Take a table from what `record` made."""
+        errors = ({name: _number(cell[name]) for name in ("value", "gradient")} for cell in record["cells"])
+        cells = [Cell(**{**cell, **own}) for cell, own in zip(record["cells"], errors, strict=True)]
+        return cls(record["cpu"], tuple(cells))
+
     def record(self) -> dict[str, Any]:
         """Return the table as JSON holds it; an infinite error is the text inf."""
         cells = [{k: "inf" if v == math.inf else v for k, v in asdict(cell).items()} for cell in self.cells]
@@ -59,18 +86,18 @@ class Table:
         return {"cpu": self.mode, "tolerances": limits, "failures": len(self.failures), "cells": cells}
 
 
+def _number(value: Any) -> float | None:
+    return None if value is None else float(value)
+
+
 def run(
-    routines: Sequence[Routine],
-    inputs: Sequence[Input],
-    progress: Callable[[Iterable[Routine]], Iterable[Routine]] = iter,
+    routines: Sequence[Routine], inputs: Sequence[Input], tell: Callable[[Routine], object] = lambda routine: None
 ) -> Table:
-    """Run routines on inputs in all precisions."""
-    cells = [
-        cell(routine, input_, precision)
-        for routine in progress(routines)
-        for input_ in inputs
-        for precision in PRECISIONS
-    ]
+    """Run routines on inputs in all precisions; `tell` is called when one is done."""
+    cells = []
+    for routine in routines:
+        cells += [cell(routine, input_, precision) for input_ in inputs for precision in PRECISIONS]
+        tell(routine)
     return Table(mode(), tuple(cells))
 
 
