@@ -49,8 +49,9 @@ def checked(found: object, wanted: object, **more: object) -> float:
 
 
 def test_an_error_is_a_share_of_the_natural_scale() -> None:
-    assert checked(X + [0, 0, 3e-3], X) == pytest.approx(1e-3)
-    assert checked(X + [0, 0, 3e-3], X, scale={"a": 30}) == pytest.approx(1e-4)
+    off = X * [1, 1, 1.001]
+    assert checked(off, X) == pytest.approx(1e-3)
+    assert checked(off, X, scale={"a": 30}) == pytest.approx(1e-4)
     assert checked(X[:2], X) == math.inf
     assert checked(np.float32([1e-41]), np.array([1e-41])) < 1e-5, "a denormal has fewer digits"
 

@@ -8,8 +8,8 @@ from cli.stress import StressArguments, stress
 from priors.stress.inputs import INPUTS
 from priors.stress.routine import Routine
 
-EXAMPLES = """Run every numerical routine on extreme inputs (0, denormals, 65504, 1e30, inf, NaN, one pixel, ...) in each
-precision, and compare values and gradients with float64. One line a routine; exits 1 where a cell fails.
+EXAMPLES = """Run every numerical routine on extreme inputs (0, denormals, 65504, 1e30, inf, NaN, one pixel, ...) in
+each precision, and compare values and gradients with float64. One line a routine; exits 1 where a cell fails.
 
 examples:
   priors stress

@@ -29,7 +29,7 @@ def mono_alignment(space: Literal["depth", "disparity"]) -> Callable[[Given], Ca
         kind: Literal["scale", "scale-shift"] = "scale-shift" if shift else "scale"
 
         def found() -> Outputs:
-            settled = fit(values, known_m, kind, space)
+            settled = fit(given.precision.array(values), known_m.astype(np.float32), kind, space)
             return {"scale": settled.scale, "shift": settled.shift}
 
         nothing = DataError if given.input is EMPTY else None

@@ -49,8 +49,8 @@ def markdown(tables: Sequence[Table], command: str) -> str:
         _bars([HEADS, *(_summary(first, name) for name in first.routines)]),
         "Share of its tolerance that a routine uses at most, over all inputs, precisions, values and gradients:",
         _bars([("routine", *(f"`{t.mode}`" for t in tables)), *(_by_mode(tables, name) for name in first.routines)]),
-        f"Largest error in float32 (value, then gradient) by input, mode `{first.mode}`; a number in brackets names why "
-        "a cell makes no sense:",
+        f"Largest error in float32 (value, then gradient) by input, mode `{first.mode}`; a number in brackets says "
+        "why a cell makes no sense:",
         _by_input(first),
     ]
     return "\n\n".join(parts) + "\n"

@@ -46,7 +46,7 @@ def _matched(given: Given, left: Floats, right: Floats, disparity_px: Floats) ->
 
     def found() -> Outputs:
         with torch.no_grad():
-            volume = matching.lookup(*ours, at, GROUPS)
+            volume = matching.lookup(ours[0], ours[1], at, GROUPS)
         assert isinstance(volume, torch.Tensor)
         return {"matches": volume[0].permute(1, 2, 3, 0)}
 
