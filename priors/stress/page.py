@@ -45,7 +45,7 @@ def markdown(tables: Sequence[Table], command: str) -> str:
     first = tables[0]
     parts = [
         f"    {command}",
-        f"Largest errors, as shares of the natural scale, in CPU mode `{first.mode}`; {tolerances.told()}.",
+        f"Largest errors in CPU mode `{first.mode}`. {tolerances.told().capitalize()}.",
         _bars([HEADS, *(_summary(first, name) for name in first.routines)]),
         "Share of its tolerance that a routine uses at most, over all inputs, precisions, values and gradients:",
         _bars([("routine", *(f"`{t.mode}`" for t in tables)), *(_by_mode(tables, name) for name in first.routines)]),
