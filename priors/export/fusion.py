@@ -25,7 +25,7 @@ Step = Callable[[], None]
 SEEN = np.dtype(
     [
         ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
-        ("confidence", "<f4"), ("depth", "<f4"), ("views", "<u2"),
+        ("confidence", "<f4"), ("depth", "<f4"), ("views", "<i4"),
     ]
 )  # fmt: skip
 """A point: metres; its colour; the confidence of its map there, 1 where the map has none; the depth from which it was
@@ -55,7 +55,7 @@ class FusionConfig:
     def __post_init__(self) -> None:
         expect(0 < self.voxel_m < float("inf"), "--voxel-m", self.voxel_m, "metres, more than 0")
         expect(self.reach_m > 0, "--reach-m", self.reach_m, "metres, more than 0")
-        expect_between(1, self.views, 65535, "--views")
+        expect_between(1, self.views, MOST_POINTS, "--views")
         expect_between(1, self.points, MOST_POINTS, "--points")
 
 
@@ -179,7 +179,7 @@ class _Merged:
         first = np.flatnonzero(np.diff(cells, prepend=cells[:1] - 1)) if len(cells) else np.zeros(0, np.int64)
         counts = np.add.reduceat(points["views"].astype(np.int64), first) if len(first) else np.zeros(0, np.int64)
         self.cells, self.points = cells[first], points[first]
-        self.points["views"] = np.minimum(counts, np.iinfo(np.uint16).max)
+        self.points["views"] = counts
         self.cells, self.points = least(self.cells, self.points, self.most)
         if len(self.cells) == self.most:
             self.largest = hash_of(self.cells).max()
