@@ -49,6 +49,7 @@ ROOMS = [
     "priors/export",
     "priors/street",
     "priors/learn",
+    "priors/stress",
     "nerf/types",
     "nerf/gaussians/types",
     "nerf/harmonics",
