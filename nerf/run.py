@@ -18,7 +18,7 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import cameras, checkpoint, fields, journal, origin
+from nerf import cameras, checkpoint, fields, journal
 from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
 from nerf.evidence.lidar import sweeps_of
@@ -35,6 +35,8 @@ from nerf.scene import Scene
 from nerf.split import SPARSE_STEP, in_name, split
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
+from priors import origin
+from priors.drive_around import Stretch
 from priors.drives import poses_remark, reopen
 from priors.errors import DataError, expect
 from priors.filters import Filters
@@ -90,7 +92,7 @@ class RunConfig:
 
     @property
     def title(self) -> str:
-        """What the run is, as its usual folder's name ends: <field>-<views>, and <loss>-<prior> where it has them."""
+        """What the run is, as its usual folder's name ends: `<field>-<views>`, then `<loss>-<prior>`."""
         loss = [self.fit.losses.loss] if fields.is_trained(self.fit.model.family) else []
         guide = [] if self.prior is None else [*loss, Path(self.prior).name]
         return "-".join([self.fit.model.family, in_name(self.views), *guide])
@@ -260,13 +262,18 @@ def begin(
         prior: its depth guides the fit: a cache's, or TRUTH (nerf.guide), the drive's own; None: colours alone.
         scene: which frames, and what the prior passes.
         fit: everything that decides the outcome.
-        folder: the run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>.
+        folder: the run's folder; default: `runs/<drive>-<field>-<views>-<loss>-<prior>`.
         progress: shows what is prepared and rendered.
 
     Raises:
         DataError: the folder holds a run with other settings.
     """
-    config = RunConfig.of(drive, prior, scene or SceneConfig(), fit or FitConfig())
+    scene = scene or SceneConfig()
+    if isinstance(drive, Stretch):  # a run's record reopens the whole drive
+        expect(scene.frames is None, "frames", scene.frames, "none beside a stretch of a drive")
+        scene = replace(scene, frames=drive.frames)
+        drive = drive.drive
+    config = RunConfig.of(drive, prior, scene, fit or FitConfig())
     if config.fit.align == "learn":
         expect(prior is not None, "--align", "learn", "auto where there is no prior to align")
         family = config.fit.model.family
