@@ -7,6 +7,7 @@ PROGRAM = Program(
     "depth priors for street drives",
     {
         "build": "make depth maps for a drive and cache them",
+        "import": "take depth maps that another program made into the cache",
         "eval": "score cached maps against the drive's truth",
         "report": "write one page: tables, pictures to compare by a slider, plots",
         "show": "write pictures: image, depth, error and confidence side by side",
@@ -17,6 +18,7 @@ PROGRAM = Program(
         "poses": "refine a drive's poses by what its images see",
         "train": "train the networks: render samples, train, pack weights",
         "street": "write the embedded street as a KITTI raw drive",
+        "stress": "run every numerical routine at the limits of its numbers",
     },
     """\
   priors street street/ --frames 40 --size 1242x375     the embedded street: no download needed
