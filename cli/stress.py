@@ -13,8 +13,7 @@ from cli.written import expect_file
 from priors.errors import UsageError
 from priors.stress import modes, page
 from priors.stress.inputs import Input
-from priors.stress.routine import Routine
-from priors.stress.routines import named
+from priors.stress.routine import Routine, named
 from priors.stress.table import Table
 from priors.stress.table import run as make
 
