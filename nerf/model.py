@@ -82,6 +82,9 @@ class GoesOn(Protocol):
 class Family(Protocol):
     """What a file in nerf/fields/ offers as FAMILY.
 
+    `unread`, where a family has it, names the settings of a fit that do nothing in it, dotted: "model.width", or all of
+    "model.sampler". `nerf fit` refuses their flags.
+
     A family whose models learn nothing says so: `trained = False`. Its models have no parameters, a fit makes them at
     once, and a study makes them once a prior, whatever the losses and seeds are.
     """
