@@ -7,6 +7,7 @@ Where drives lie in folders of their own below the data set's (priors/places.py 
 `is_drive(folder)`, and `BELOW`, the most levels between the two.
 """
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Collection
@@ -28,6 +29,7 @@ from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.types import Drive
 
 __path__.extend(extensions.folders("drives"))
+LOG = logging.getLogger(__name__)
 CACHE = Path("cache")
 """Where commands keep results unless they are told."""
 LISTED = 1000  # entries of an unknown folder that its error message looks at
@@ -79,6 +81,7 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     name = _recognise(path) if dataset == "auto" else dataset
     options = options or DriveOptions()
     drive: Drive = reader(name).open_drive(path, options)
+    LOG.info("%s: %s, %d frames, read as %s", path, drive.name, len(drive.ids), name)
     if options.poses == "dead-reckoned" and poses_of(drive.describe()) != options.poses:
         raise UsageError(f"--poses dead-reckoned: {drive.name} has no velocities that fit its positions: leave it out")
     return _refined(drive, options) if options.poses == "refined" else drive
