@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
+from nerf.gaussians.types import Gaussians
 from nerf.scene import Scene
 from nerf.types import RenderedView
 from priors.types import Camera, Matrix
@@ -77,6 +78,14 @@ class GoesOn(Protocol):
 
     def go_on(self, scene: Scene, config: FitConfig, record: dict[str, Any], device: str) -> Model:
         """Make a model of a scene that is ready to load a checkpoint with this record, and to train on."""
+
+
+@runtime_checkable
+class HoldsGaussians(Protocol):
+    """A model that is made of Gaussians, as other programs show them."""
+
+    def splats(self) -> Gaussians:
+        """Return all that it shows, the sky too, as Gaussians of the scene's frame."""
 
 
 class Family(Protocol):

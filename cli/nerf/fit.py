@@ -120,7 +120,7 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
     if args.prior is None and not fields.is_trained(args.family):
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
     for setting, value in fields.unread(args.config()).items():
-        raise UsageError(f"{setting} {value}: --field {args.family} does not read it: leave it out")
+        raise UsageError(f"{f'{setting} {value}'.strip()}: --field {args.family} does not read it: leave it out")
     with busy("looking at the drive and its priors"):
         drive, prior = open_sources(args, args.prior, typed)
     scene, config, folder = args.scene(), args.config(), args.run

@@ -70,8 +70,8 @@ class Backdrop:
         for position in scene.train[:: -(-len(scene.train) // MOST_FRAMES)]:
             image = np.asarray(scene.images[position])
             mask = sky_mask(image) if scene.sky is None else np.asarray(scene.sky[position]) > 0
-            flat = np.flatnonzero(mask)
-            flat = torch.from_numpy(flat[:: max(1, -(-len(flat) // MOST_PIXELS))])
+            every = np.flatnonzero(mask)
+            flat = torch.from_numpy(every[:: max(1, -(-len(every) // MOST_PIXELS))])
             units.append(self._directions(Viewpoint(scene.camera, scene.T_world_cam[position]), flat))
             rgb.append(torch.from_numpy(image.reshape(-1, 3)).float()[flat] / 255)
         return torch.cat(units), torch.cat(rgb)

@@ -1,4 +1,4 @@
-"""Cover: where a view is covered by what was taken so far, so that each surface is taken once, where it is seen best."""
+"""Cover: where a view is covered by what was taken so far: each surface is taken once, where it is seen best."""
 
 import numpy as np
 import numpy.typing as npt
@@ -55,7 +55,8 @@ class Cover:
     def filled(self, look: Look, step: int) -> Flags:
         """Tell which cells of step x step pixels of a frame show any point."""
         row, column, _ = self._cells(look, step)
-        out = np.zeros(tuple(len(range(step // 2, side, step)) for side in look.camera.size), np.bool_)
+        height, width = look.camera.size
+        out = np.zeros((len(range(step // 2, height, step)), len(range(step // 2, width, step))), np.bool_)
         inside = (row < out.shape[0]) & (column < out.shape[1])
         out[row[inside], column[inside]] = True
         return out

@@ -56,9 +56,7 @@ def is_due(step: int, frames: int, progress: float) -> bool:
     return FROM <= progress < UNTIL and (step + 1) % max(EVERY, frames) == 0
 
 
-def grown(
-    gaussians: Gaussians, moments: SplatMoments, growth: Growth, most: int
-) -> tuple[Gaussians, SplatMoments]:
+def grown(gaussians: Gaussians, moments: SplatMoments, growth: Growth, most: int) -> tuple[Gaussians, SplatMoments]:
     """Return the Gaussians after a look, at most `most` of them, with their running means; new ones have none."""
     kept = torch.sigmoid(gaussians.opacities) > CLEAR
     seen = kept & (growth.views > 0)

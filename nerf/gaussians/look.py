@@ -50,7 +50,8 @@ class Look:
         """(h, w, 3) unit normals of the smoothed depth in the camera's frame, towards it."""
         smooth = cv2.medianBlur(self.depth_m, SMOOTH_PX)
         points = rays(self.camera).astype(np.float32) * smooth[..., None]
-        across, down = (cv2.Sobel(points, cv2.CV_32F, *order, ksize=3) for order in ((1, 0), (0, 1)))
+        edge = cv2.BORDER_REPLICATE  # mirrored, the derivative across the image's edge would be 0
+        across, down = (cv2.Sobel(points, cv2.CV_32F, *order, ksize=3, borderType=edge) for order in ((1, 0), (0, 1)))
         normal = np.cross(down, across)  # x right, y down, z forward: towards the camera
         length = np.linalg.norm(normal, axis=-1, keepdims=True)
         facing = points / np.linalg.norm(points, axis=-1, keepdims=True)
@@ -81,4 +82,3 @@ def between_surfaces(depth_m: Floats) -> Flags:
     around = np.ones((3, 3), np.uint8)
     low, high = cv2.erode(depth_m, around), cv2.dilate(depth_m, around)
     return np.asarray((low < depth_m * (1 - EDGE)) & (high > depth_m * (1 + EDGE)))
-

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from nerf.gaussians.shot import Shot
-from nerf.gaussians.types import ColourLoss, Contributions, Rasterised, ViewGradients
+from nerf.gaussians.types import Contributions, Rasterised, ViewGradients
 from nerf.kernels import kernels_for
 from nerf.losses import SOFT, LossConfig, trimmed
 from nerf.types import OPACITY_FLOOR, Key, Samples, Target, padded_count
@@ -27,13 +27,16 @@ LEAST_M = 1e-6
 
 @dataclass
 class ViewLosses:
-    """Losses of a view so far, unweighted, their weighted sum, and derivatives (h, w)."""
+    """Losses of a view so far, unweighted, their weighted sum, and derivatives."""
 
+    d_depth_sum: Tensor
+    """(h, w)"""
+    d_opacity: Tensor
+    """(h, w)"""
+    total: Tensor
     terms: dict[str, Tensor] = field(default_factory=dict)
-    total: Tensor = field(default_factory=lambda: torch.zeros(()))
-    d_depth_sum: Tensor | None = None
-    d_opacity: Tensor | None = None
     made: Contributions | None = None
+    """Those that the next two are by, (m,)."""
     d_weights: Tensor | None = None
     d_tau: Tensor | None = None
 
@@ -49,10 +52,11 @@ class ViewLosses:
 
 def geometry_losses(rules: LossConfig, shot: Shot, seen: Rasterised, rays: int, key: Key) -> ViewLosses:
     """Return all losses but the colour's; `rays`: how many pixels kl and urf look at, `key`: draws them."""
-    out = ViewLosses(total=torch.zeros((), device=seen.rgb.device))
-    out.d_depth_sum, out.d_opacity = torch.zeros_like(seen.opacity), torch.zeros_like(seen.opacity)
+    zeros = torch.zeros_like(seen.opacity)
+    out = ViewLosses(zeros, zeros.clone(), zeros.new_zeros(()))
     if shot.weight is not None and rules.loss != "none":
-        value = _by_pixel(rules, shot, seen, out) if rules.loss in ("mse", "l1") else _by_ray(rules, shot, seen, out, (rays, key))
+        by_pixel = rules.loss in ("mse", "l1")
+        value = _by_pixel(rules, shot, seen, out) if by_pixel else _by_ray(rules, shot, seen, out, (rays, key))
         out.add("depth", value, DEPTH_SHARE * rules.depth_weight)
     passes = 1 - seen.opacity
     if shot.weight is not None and rules.opacity > 0:
@@ -78,7 +82,6 @@ def _by_pixel(rules: LossConfig, shot: Shot, seen: Rasterised, out: ViewLosses) 
 
 def _pull_depth(out: ViewLosses, seen: Rasterised, d_depth: Tensor) -> None:
     """Add the derivatives by what the expected depth is made of, from those by itself, (h, w)."""
-    assert out.d_depth_sum is not None and out.d_opacity is not None
     whole = seen.opacity.clamp(min=OPACITY_FLOOR)
     out.d_depth_sum += d_depth / whole
     out.d_opacity -= torch.where(seen.opacity > OPACITY_FLOOR, d_depth * seen.depth_sum / (whole * whole), 0.0)
@@ -98,17 +101,17 @@ def _by_ray(rules: LossConfig, shot: Shot, seen: Rasterised, out: ViewLosses, dr
     if not len(pixels):
         return torch.zeros((), device=pixels.device)
     splat, render = kernels_for(pixels.device).splat, kernels_for(pixels.device).render
-    out.made = splat.contributions(seen, pixels)
+    made = splat.contributions(seen, pixels)
     prior_m, weight = shot.depth_m.flatten()[pixels], shot.weight.flatten()[pixels]
     deviation_m = (rules.sigma_share * prior_m).clamp(min=rules.sigma_floor_m)
     target = Target(torch.ones_like(prior_m), prior_m, deviation_m)  # intervals are metres of depth
-    samples = intervals(out.made)
-    count, padding = len(out.made.weights), samples.t.numel() - len(out.made.weights)
+    samples, count = intervals(made), len(made.weights)
+    padding = len(samples.t) - count
 
     def value(scale: Tensor, gradient: Tensor) -> Tensor:
         if rules.loss == "urf":
-            return render.sight(samples, _padded(out.made.weights, padding), target, scale, gradient)
-        tau = -torch.log1p(-out.made.alphas)
+            return render.sight(samples, _padded(made.weights, padding), target, scale, gradient)
+        tau = -torch.log1p(-made.alphas)
         sigma = _padded(tau, padding) / samples.dt_m.clamp(min=LEAST_M)
         return render.kl(samples, sigma, target, scale, gradient)
 
@@ -120,6 +123,7 @@ def _by_ray(rules: LossConfig, shot: Shot, seen: Rasterised, out: ViewLosses, dr
     share = _share(rules, weight, values)
     scale, gradient = DEPTH_SHARE * rules.depth_weight * share, torch.zeros_like(samples.t)
     value(scale, gradient)
+    out.made = made
     if rules.loss == "kl":
         out.d_tau = gradient[:count]
     else:

@@ -15,6 +15,7 @@ from nerf.gaussians.growth import Growth
 from nerf.gaussians.losses import geometry_losses
 from nerf.gaussians.rates import rates_at
 from nerf.gaussians.seeds import Seeds
+from nerf.gaussians.shell import shell_of
 from nerf.gaussians.shot import Shot, position_at, shot_of
 from nerf.gaussians.start import start_of
 from nerf.gaussians.types import Drawing, Gaussians, Rasterised, SplatMoments, Viewpoint
@@ -53,11 +54,11 @@ class SplatFamily:
 
     def go_on(self, scene: Scene, config: FitConfig, record: dict[str, Any], device: str) -> "SplatModel":
         """Make a model that is ready to load a checkpoint."""
-        return SplatModel(config.model, *_planted(Seeds.joined([]), config.model.gaussians.degree, torch.device(device)))
+        return SplatModel(
+            config.model, *_planted(Seeds.joined([]), config.model.gaussians.degree, torch.device(device))
+        )
 
-    def open(
-        self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str
-    ) -> "SplatModel":
+    def open(self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str) -> "SplatModel":
         """Make a model again of what a checkpoint holds."""
         model = SplatModel(config, *_planted(Seeds.joined([]), config.gaussians.degree, torch.device(device)))
         model.load(state)
@@ -134,6 +135,14 @@ class SplatModel:
         rgb = self.backdrop.behind(seen, viewpoint).clamp(0, 1)
         parts = (rgb, seen.depth_m(OPACITY_FLOOR), seen.median_m, seen.opacity)
         return RenderedView(*(part.cpu().numpy() for part in parts))
+
+    def splats(self) -> Gaussians:
+        """Return all that it shows as Gaussians: the sky is a shell far around the others."""
+        told = self._sky.state()["sky.texels.square"]
+        middle_m = self.gaussians.means_m.mean(0) if len(self.gaussians) else torch.zeros(3, device=self.device)
+        shell = shell_of(self.backdrop.sky, told, middle_m, self.gaussians.harmonics.shape[1])
+        both = [part.tensors() for part in (self.gaussians, shell)]
+        return Gaussians(*(torch.cat([part[name] for part in both]) for name in both[0]))
 
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name."""

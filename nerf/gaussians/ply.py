@@ -11,14 +11,11 @@ and where a drive is far from zero, a comment says what was taken off.
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
-
 from eval.files import write_bytes
 from nerf import origin
+from nerf.gaussians.types import Gaussians
 from nerf.origin import Offset
 from priors.errors import DataError
-
-Floats = npt.NDArray[np.float32]
 
 HARMONICS = 16
 """Degrees 0 to 3."""
@@ -30,24 +27,22 @@ NAMES = [
 ORIGIN = "comment origin_m"
 
 
-def write(path: Path, splats: dict[str, Floats], origin_m: Offset = origin.NONE) -> None:
-    """Write Gaussians, atomically.
+def write(path: Path, gaussians: Gaussians, origin_m: Offset = origin.NONE) -> None:
+    """Write Gaussians, atomically; `origin_m`: where their frame begins in the drive's, metres.
 
-    Args:
-        path: ends in .ply.
-        splats: means_m (n, 3), log_scales (n, 3), rotations (n, 4), opacity (n,) logits, harmonics (n, k, 3).
-        origin_m: where their frame begins in the drive's, metres.
+    Raises:
+        DataError: the path does not end in .ply.
     """
     if path.suffix.lower() != ".ply":
         raise DataError(f"{path}: expected a name that ends in .ply")
-    count = len(splats["means_m"])
+    own = {name: tensor.detach().cpu().numpy() for name, tensor in gaussians.tensors().items()}
+    count, given = own["harmonics"].shape[:2]
     whole = np.zeros((count, HARMONICS, 3), np.float32)
-    whole[:, : splats["harmonics"].shape[1]] = splats["harmonics"]
+    whole[:, :given] = own["harmonics"]
     rest = whole[:, 1:].transpose(0, 2, 1).reshape(count, -1)
     normals = np.zeros((count, 3), np.float32)  # no viewer reads them
-    columns = [splats["means_m"], normals, whole[:, 0], rest]
-    columns += [splats["opacity"][:, None], splats["log_scales"], splats["rotations"]]
-    table = np.concatenate(columns, axis=1).astype("<f4")
+    columns = [own["means_m"], normals, whole[:, 0], rest, own["opacities"][:, None], own["log_scales"]]
+    table = np.concatenate([*columns, own["rotations"]], axis=1).astype("<f4")
     lines = ["ply", "format binary_little_endian 1.0", "comment metres; scales log, opacity logit, rotation w x y z"]
     lines += [f"{ORIGIN} {' '.join(f'{value:.0f}' for value in origin_m)}"] * (origin_m != origin.NONE)
     lines += [f"element vertex {count}", *(f"property float {name}" for name in NAMES), "end_header"]

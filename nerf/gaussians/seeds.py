@@ -59,7 +59,8 @@ class Lattice:
         rotation, place = look.T_world_cam[:3, :3], look.T_world_cam[:3, 3]
         self.means_m = (self._in_camera @ rotation.T + place).astype(np.float32)
         """(rows, columns, 3)"""
-        self.usable, self.trust, self.sky = (part[self._grid] for part in (look.usable, look.trust, look.sky))
+        self.usable, self.sky = look.usable[self._grid], look.sky[self._grid]
+        self.trust = look.trust[self._grid]
 
     def seeds(self, rows: npt.NDArray[np.intp], columns: npt.NDArray[np.intp]) -> Seeds:
         """Make discs of the candidates at rows (n,) and columns (n,)."""
