@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 MESH_VENV ?= $(VENV)-mesh
+SITE_VENV ?= $(VENV)-site
 DEMO ?= demo
 DATA ?= ../shared/data/kitti_raw_397x120
 DEVICE ?= cuda
@@ -10,7 +11,7 @@ INSTALL := -m pip install --quiet --disable-pip-version-check --constraint const
 PIP := $(BIN)/python $(INSTALL)
 
 .DEFAULT_GOAL := help
-.PHONY: help fix cov demo test modes slow browser splats datasets stress mesh lint types bench gpu gpu-pack clean
+.PHONY: help fix cov demo test modes slow browser site splats datasets stress mesh lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -39,7 +40,7 @@ demo: $(VENV)/.installed  ## the whole story on the embedded street: four priors
 	@echo "open $(DEMO)/report.html in a browser"
 
 test: $(VENV)/.dev  ## the quick tests
-	$(BIN)/python -m pytest -m "not slow and not browser and not splats and not datasets and not stress"
+	$(BIN)/python -m pytest -m "not slow and not browser and not docs and not splats and not datasets and not stress"
 
 splats datasets stress: $(VENV)/.dev  ## tests of one part each
 	$(BIN)/python -m pytest -q -m "$@ and not slow"
@@ -82,6 +83,16 @@ cov: $(VENV)/.dev  ## the quick tests' coverage, without what numba compiles: th
 	$(BIN)/python -m pytest -q -m "not slow and not browser" --cov --cov-report=
 	$(BIN)/coverage report --skip-covered --sort=-cover
 
+$(SITE_VENV)/.installed: constraints.txt
+	$(PYTHON) -m venv $(SITE_VENV)
+	$(SITE_VENV)/bin/python $(INSTALL) zensical mkdocstrings-python ruff
+	touch $@
+
+site: $(SITE_VENV)/.installed $(VENV)/.dev  ## the documentation as a site, build/site, and the code of its pages run
+	$(SITE_VENV)/bin/python docs/_site.py
+	$(SITE_VENV)/bin/zensical build --strict
+	$(BIN)/python -m pytest -q -m docs
+
 lint: $(VENV)/.dev  ## ruff: rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -99,4 +110,4 @@ gpu: gpu-pack  ## what a borrowed GPU is asked: docs/gpu.md; DEVICE=cpu BUDGET=1
 	$(BIN)/python tests/bench/gpu --device $(DEVICE) $(if $(BUDGET),--budget $(BUDGET)) $(if $(PARTS),--parts $(PARTS))
 
 clean:  ## remove the environments and the demo
-	rm -rf $(VENV) $(MESH_VENV) $(DEMO)
+	rm -rf $(VENV) $(MESH_VENV) $(SITE_VENV) build $(DEMO)
