@@ -85,7 +85,7 @@ def test_what_cannot_be_written_is_told(tmp_path: Path) -> None:
     hash_field = fields.family("ngp").start(corridor("sparse"), volumetric(1), "cpu")
     with pytest.raises(DataError, match="a ngp field has no Gaussians: fit one with --field splat"):
         write_splats(tmp_path / "a.ply", hash_field)
-    with pytest.raises(DataError, match="ends in .ply"):
+    with pytest.raises(DataError, match=r"ends in \.ply"):
         write_splats(tmp_path / "a.splat", trained(1))
     assert not list(tmp_path.iterdir())
 

@@ -104,7 +104,7 @@ def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, monkeypatch: pytest
 def test_a_checkpoint_of_another_degree_is_told_in_one_line(tmp_path: Path) -> None:
     scene = corridor("4")
     fit(scene, config(2, degree=0), tmp_path)
-    with pytest.raises(DataError, match="made with other settings.*harmonics"):
+    with pytest.raises(DataError, match=r"made with other settings.*harmonics"):
         fit(scene, config(4, degree=2), tmp_path)
 
 

@@ -1,6 +1,5 @@
 """Settings of a field of Gaussians: how it starts, what it minimises beside the shared losses, how it grows."""
 
-import math
 from dataclasses import dataclass
 
 from priors.errors import expect, expect_between
@@ -21,22 +20,11 @@ class GaussianConfig:
     """Degree of the spherical harmonics of the colour, 0 to 3; 0: a place has one colour from all sides."""
     dssim: float = 0.2
     """Share of 1 - SSIM in the colour loss; the rest is the mean absolute difference."""
-    normal: float = 0.0
-    """Weight of the difference of the discs' normals from those of the rendered depth."""
-    flatness: float = 0.0
-    """Weight of the discs' thickness, as a share of their width."""
     densify: bool = True
     """Split and clone Gaussians where the image asks for more of them, and delete those that nobody sees."""
-    movers: bool = True
-    """Give less weight to pixels whose colour stays far off: what moves."""
-    appearance: bool = False
-    """Learn a gain and an offset of the colours of each training frame: exposure."""
 
     def __post_init__(self) -> None:
         expect_between(1, self.most_gaussians, MOST, "--most-gaussians")
         expect_between(0, self.start_step, 64, "--start-step")
         expect_between(0, self.degree, 3, "--degree")
         expect(0 <= self.dssim <= 1, "--dssim", self.dssim, "a share from 0 to 1")
-        for name in ("normal", "flatness"):
-            value = getattr(self, name)
-            expect(0 <= value < math.inf, f"--{name}", value, "0 or more")

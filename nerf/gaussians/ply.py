@@ -11,6 +11,7 @@ and where a drive is far from zero, a comment says what was taken off.
 from pathlib import Path
 
 import numpy as np
+
 from eval.files import write_bytes
 from nerf import origin
 from nerf.gaussians.types import Gaussians
