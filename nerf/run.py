@@ -18,7 +18,7 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import cameras, checkpoint, fields, journal, origin
+from nerf import cameras, checkpoint, fields, journal
 from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
 from nerf.evidence.lidar import sweeps_of
@@ -35,6 +35,7 @@ from nerf.scene import Scene
 from nerf.split import SPARSE_STEP, in_name, split
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
+from priors import origin
 from priors.drives import poses_remark, reopen
 from priors.errors import DataError, expect
 from priors.filters import Filters

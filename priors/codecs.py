@@ -135,6 +135,11 @@ def encode_confidence_png(confidence: FloatMap) -> bytes:
     return _encode_png(np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 65535).astype(np.uint16))
 
 
+def write_codes_png(path: Path, codes: npt.NDArray[np.uint16]) -> None:
+    """Write codes (height, width) as a uint16 PNG, atomically."""
+    write_bytes(path, _encode_png(codes))
+
+
 def read_float_map(path: Path) -> FloatMap:
     """Read depth (metres) or disparity (px) by suffix: .png (kitti), .npy, .npz or .pfm; 0 = no value."""
     suffix = path.suffix.lower()

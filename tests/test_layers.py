@@ -24,6 +24,7 @@ ROOMS = [
     "priors/kernels",
     "priors/motion",
     "priors/geometry",
+    "priors/origin",
     "priors/sky",
     "priors/draw",
     "priors/cache",

@@ -11,6 +11,7 @@ PROGRAM = Program(
         "report": "write one page: tables, pictures to compare by a slider, plots",
         "show": "write pictures: image, depth, error and confidence side by side",
         "view": "look at a drive and its priors in 3D, live in a browser",
+        "export": "write a prior for nerfstudio, COLMAP, 3DGS, KITTI; as PLY; a network as ONNX",
         "list": "list what a cache holds",
         "check": "audit a drive: calibration, joins, stereo, poses, LiDAR",
         "poses": "refine a drive's poses by what its images see",
@@ -26,6 +27,7 @@ PROGRAM = Program(
   priors eval cache/                                    one table, a row a prior
   priors report cache/                                  one page to open: report.html
   priors show cache/ --frames 5:8                       pictures
-  priors view cache/                                    points in 3D, live in a browser""",
+  priors view cache/                                    points in 3D, live in a browser
+  priors export cache/DRIVE/stereo-KEY --to nerfstudio  images, poses, depth, and the ns-train line""",
 )
 main = PROGRAM.main

@@ -13,10 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from eval.files import write_bytes
-from nerf import origin
 from nerf.gaussians.types import Gaussians
-from nerf.origin import Offset
+from priors import origin
 from priors.errors import DataError
+from priors.origin import Offset
 
 HARMONICS = 16
 """Degrees 0 to 3."""
