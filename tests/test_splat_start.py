@@ -16,6 +16,7 @@ from nerf.gaussians.look import look_at
 from nerf.gaussians.seeds import disc_axes
 from nerf.gaussians.start import start_of, usual_step
 from nerf.scene import Scene
+from priors.geometry import invert
 
 pytestmark = pytest.mark.splats
 
@@ -54,6 +55,27 @@ def test_every_surface_is_taken_once() -> None:
     assert len(start_of(scene, 2, 10**6, 0)) < 6 * len(once), "18 frames that see the same walls"
 
 
+@pytest.mark.parametrize("step", [1, 3])
+def test_cells_are_covered_as_the_slow_version_says(step: int) -> None:
+    look, random = look_at(corridor("sparse"), 4), np.random.default_rng(0)
+    means_m = (random.normal(size=(400, 3)) * (4, 2, 10) + (0, 0, 10)).astype(np.float32)
+    cover = Cover()
+    cover.add(means_m[:150])
+    cover.add(means_m[150:])
+    filled, covered = (np.zeros_like(look.depth_m[step // 2 :: step, step // 2 :: step], np.bool_) for _ in range(2))
+    for place in means_m.astype(np.float64):
+        x, y, z = invert(look.T_world_cam)[:3] @ [*place, 1]
+        if z > 0:
+            row, column = (40 * y / z + 11.5 + 0.5) / step, (40 * x / z + 31.5 + 0.5) / step
+            if 0 <= row < filled.shape[0] and 0 <= column < filled.shape[1]:
+                own = look.depth_m[step // 2 :: step, step // 2 :: step][int(row), int(column)]
+                filled[int(row), int(column)] = True
+                covered[int(row), int(column)] |= abs(z - own) < 0.08 * own
+    found = cover.cells(look, step)
+    assert np.array_equal(found[0], filled) and np.array_equal(found[1], covered)
+    assert 5 < covered.sum() < filled.sum()
+
+
 @pytest.mark.parametrize("share", [1.0, 0.05])
 def test_all_that_is_no_sky_is_covered(share: float) -> None:
     scene = thinned(corridor("sparse"), share)
@@ -61,7 +83,7 @@ def test_all_that_is_no_sky_is_covered(share: float) -> None:
     cover.add(start_of(scene, 2, 10**6, 0).means_m)
     for position in scene.train:
         look = look_at(scene, position)
-        filled = cover.filled(look, 6)
+        filled, _ = cover.cells(look, 6)
         land = ~look.sky[3::6, 3::6]
         assert filled[land].mean() > 0.95
 

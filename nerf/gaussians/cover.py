@@ -10,7 +10,7 @@ from priors.types import Camera, Matrix
 Floats = npt.NDArray[np.float32]
 Flags = npt.NDArray[np.bool_]
 
-SAME = np.float32(0.08)
+SAME = 0.08
 """Depths that differ by less than this share are of one surface."""
 THROUGH = np.float32(0.9)
 """A view looks through a place that is nearer than this share of its own depth there."""
@@ -31,40 +31,21 @@ class Cover:
             middle = means_m.mean(axis=0)
             self._blocks.append((means_m, middle, float(np.linalg.norm(means_m - middle, axis=1).max())))
 
-    def seen(self, T_world_cam: Matrix, camera: Camera) -> tuple[Floats, Floats]:
-        """Return pixels (n, 2) and depths (n,), metres, of the points that lie in a view."""
-        T_cam_world = invert(T_world_cam)
-        found = [transform(T_cam_world, block[0]) for block in self._blocks if _may_see(camera, T_cam_world, block)]
-        xyz = np.concatenate([np.zeros((0, 3), np.float32), *found])
-        uv, z = project(camera, xyz[xyz[:, 2] > 0])
-        height, width = camera.size
-        inside = (uv > -0.5).all(axis=1) & (uv < np.array([width, height], np.float32) - 0.5).all(axis=1)
-        return uv[inside], z[inside]
+    def cells(self, look: Look, step: int) -> tuple[Flags, Flags]:
+        """Tell of the cells of step x step pixels of a frame which show a point at all, and which are covered.
 
-    def covered(self, look: Look, step: int) -> Flags:
-        """Tell in which cells of step x step pixels of a frame the surface at their middle is taken already."""
-        row, column, z = self._cells(look, step)
-        own = look.depth_m[step // 2 :: step, step // 2 :: step]
-        out = np.zeros(own.shape, np.bool_)
-        inside = (row < out.shape[0]) & (column < out.shape[1])
-        row, column, z = row[inside], column[inside], z[inside]
-        same = np.abs(z - own[row, column]) < SAME * own[row, column]
-        out[row[same], column[same]] = True
-        return out
+        A cell is covered where a point lies at about the depth of the surface at its middle.
+        """
+        from nerf.kernels.cpu.splat_cover import Cells, cover
 
-    def filled(self, look: Look, step: int) -> Flags:
-        """Tell which cells of step x step pixels of a frame show any point."""
-        row, column, _ = self._cells(look, step)
-        height, width = look.camera.size
-        out = np.zeros((len(range(step // 2, height, step)), len(range(step // 2, width, step))), np.bool_)
-        inside = (row < out.shape[0]) & (column < out.shape[1])
-        out[row[inside], column[inside]] = True
-        return out
-
-    def _cells(self, look: Look, step: int) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], Floats]:
-        uv, z = self.seen(look.T_world_cam, look.camera)
-        cell = np.floor((uv + 0.5) / step).astype(np.intp)
-        return cell[:, 1], cell[:, 0], z
+        depth_m = np.ascontiguousarray(look.depth_m[step // 2 :: step, step // 2 :: step])
+        found = Cells(depth_m, *(np.zeros(depth_m.shape, np.uint8) for _ in range(2)))
+        T_cam_world = invert(look.T_world_cam)
+        projection = np.ascontiguousarray(look.camera.K @ T_cam_world[:3])
+        for block in self._blocks:
+            if _may_see(look.camera, T_cam_world, block):
+                cover(block[0], projection, found, step, SAME)
+        return found.filled > 0, found.covered > 0
 
 
 def looked_through(means_m: Floats, others: list[Look]) -> Flags:

@@ -7,7 +7,6 @@ from typing import Self
 import cv2
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from nerf.gaussians.look import Look
 from priors.geometry import rays
@@ -72,11 +71,10 @@ class Lattice:
         width = WIDTH * cell_m
         scales = np.stack([width * stretch, width, THICKNESS * width], axis=1)
         turned = look.T_world_cam[:3, :3] @ axes
-        quaternions = Rotation.from_matrix(turned).as_quat()[:, [3, 0, 1, 2]] if len(rows) else np.zeros((0, 4))
         return Seeds(
             self.means_m[rows, columns],
             np.log(scales).astype(np.float32),
-            quaternions.astype(np.float32),
+            quaternions(turned).astype(np.float32),
             (colours / np.float32(255)).astype(np.float32),
             cell_m,
         )
@@ -98,3 +96,13 @@ def disc_axes(points: Floats, normals: Floats) -> tuple[npt.NDArray[np.float64],
     across = np.cross(normals, along)
     stretch = np.minimum(1 / np.maximum(np.abs(cosine[:, 0]), 1e-6), MOST_STRETCH)
     return np.stack([along, across, normals], axis=-1).astype(np.float64), stretch
+
+
+def quaternions(matrices: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return unit quaternions (n, 4) w x y z of rotation matrices (n, 3, 3); scipy would first make them orthogonal."""
+    a, b, c = matrices[:, 0, 0], matrices[:, 1, 1], matrices[:, 2, 2]
+    squares = np.stack([1 + a + b + c, 1 + a - b - c, 1 - a + b - c, 1 - a - b + c], axis=1)
+    found = np.sqrt(np.maximum(squares, 0))
+    for axis, (low, high) in enumerate(((2, 1), (0, 2), (1, 0)), 1):
+        found[:, axis] = np.copysign(found[:, axis], matrices[:, low, high] - matrices[:, high, low])
+    return np.asarray(found / np.linalg.norm(found, axis=1, keepdims=True))

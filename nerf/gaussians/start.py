@@ -84,7 +84,7 @@ class _Start:
         """Take what is not covered of the surfaces that a frame sees."""
         look = self._look(position)
         at = Lattice(look, self.step)
-        wanted = at.usable & chosen(at) & ~self.cover.covered(look, self.step)
+        wanted = at.usable & chosen(at) & ~self.cover.cells(look, self.step)[1]
         rows, columns = np.nonzero(wanted)
         others = [self._look(other) for other in self._near[position]]
         kept = ~looked_through(at.means_m[rows, columns], others)
@@ -94,7 +94,7 @@ class _Start:
         """Take what is still empty in a frame, at the depth of what is around."""
         look, step = self._look(position), COARSE * self.step
         at = Lattice(look, step)
-        return self._taken(at.seeds(*np.nonzero(~at.sky & ~self.cover.filled(look, step))))
+        return self._taken(at.seeds(*np.nonzero(~at.sky & ~self.cover.cells(look, step)[0])))
 
     def _random(self, position: int) -> Seeds:
         """Take discs at random depths, where a frame shows no sky."""
