@@ -132,7 +132,8 @@ def encode_confidence_png(confidence: FloatMap) -> bytes:
 
     Eight bits would lump together most of what a good method trusts: 0.99 and 0.999 are apart by three codes.
     """
-    return _encode_png(np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 65535).astype(np.uint16))
+    whole = np.nan_to_num(confidence.astype(np.float32, copy=False))  # float16 does not hold 65535
+    return _encode_png(np.rint(np.clip(whole, 0, 1) * LARGEST_CODE).astype(np.uint16))
 
 
 def write_codes_png(path: Path, codes: npt.NDArray[np.uint16]) -> None:

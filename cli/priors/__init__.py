@@ -17,6 +17,7 @@ PROGRAM = Program(
         "poses": "refine a drive's poses by what its images see",
         "train": "train the networks: render samples, train, pack weights",
         "street": "write the embedded street as a KITTI raw drive",
+        "stress": "run every numerical routine at the limits of its numbers",
     },
     """\
   priors street street/ --frames 40 --size 1242x375     the embedded street: no download needed

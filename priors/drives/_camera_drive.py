@@ -4,9 +4,10 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, overload
 
 from priors import codecs
+from priors.drive_around import Stretch, tell
 from priors.drives._files import check_baseline, check_size, digest, read_sized
 from priors.drives._links import plain
 from priors.errors import DataError, UsageError
@@ -98,7 +99,19 @@ class CameraDrive(ABC):
     def __len__(self) -> int:
         return len(self.ids)
 
-    def __getitem__(self, index: int) -> Frame:
+    def __repr__(self) -> str:
+        return tell(self)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Stretch: ...
+
+    def __getitem__(self, index: int | slice) -> Frame | Stretch:
+        return Stretch(self, range(len(self))[index]) if isinstance(index, slice) else self._frame(index)
+
+    def _frame(self, index: int) -> Frame:
         id_ = self.ids[index]
         missing, readers = dict(self.missing(id_)), self.readers(id_)
         T_world_cam = T_cam_lidar = None

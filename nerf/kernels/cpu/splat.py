@@ -11,7 +11,7 @@ Chunks and regions are cut the same however many threads there are, and sums are
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -69,13 +69,10 @@ def rasterise(
     rules = Rules(
         np.float32(np.log2(np.float32(drawing.least_alpha))), np.float32(drawing.enough), drawing.median, size
     )
-    shown = Rasterised(
-        *(torch.empty(*size, 3), *(torch.empty(size) for _ in range(3))),
-        torch.from_numpy(lists.index), radii(view, lists), None,
-    )  # fmt: skip
-    behind = torch.zeros(3) if background is None else background.contiguous()
-    images = (shown.rgb, shown.depth_sum, shown.opacity, shown.median_m, behind)
-    picture = Picture(*(x.numpy().reshape(-1) for x in images))
+    rgb, (depth_sum, opacity, median_m) = torch.empty(*size, 3), (torch.empty(size) for _ in range(3))
+    behind = torch.zeros(3) if background is None else background
+    images = (_flat(x) for x in (rgb, depth_sum, opacity, median_m, behind))
+    picture = Picture(*images)
     most = int(np.diff(members.first_member).max(initial=0))
     kept = Kept(scene, lens, view, lists, members, rules, picture, most)
 
@@ -84,13 +81,14 @@ def rasterise(
             splat_blend.draw(view, members, rules, own, picture, first, last)
 
     threads.over(regions, draw)
-    return Rasterised(shown.rgb, shown.depth_sum, shown.opacity, shown.median_m, shown.index, shown.radii_px, kept)
+    index = torch.from_numpy(lists.gaussians)
+    return Rasterised(rgb, depth_sum, opacity, median_m, index, _radii(view, lists), kept)
 
 
 def backward(rasterised: Rasterised, gradients: ViewGradients) -> SplatGradients:
     """Return a loss's derivatives by the Gaussians in view."""
     kept: Kept = rasterised.kept
-    scene, v = kept.scene, len(kept.lists.index)
+    scene, v = kept.scene, len(kept.lists.gaussians)
     parts = np.empty(int(kept.lists.copies[-1]) * RECORD, np.float32)
     none = np.empty(0, np.float32)
     wanted = Wanted(*(none if x is None else _flat(x) for x in (gradients.rgb, gradients.depth_sum, gradients.opacity)))
@@ -109,7 +107,8 @@ def backward(rasterised: Rasterised, gradients: ViewGradients) -> SplatGradients
     of, screen = Gaussians(*(torch.empty(shape) for shape in shapes)), torch.empty(v)
     chunks = len(kept.view.found)
     twists = np.empty(6 * chunks)
-    out = Derivatives(*(_flat(x) for x in of.tensors().values()), screen.numpy(), twists)
+    flat = [_flat(x) for x in of.tensors().values()]
+    out = Derivatives(flat[0], flat[1], flat[2], flat[3], flat[4], screen.numpy(), twists)
     loop = splat_unproject.unproject
     threads.over(chunks, lambda first, last: loop(scene, kept.lens, kept.view, kept.lists, parts, out, first, last))
     twist = torch.from_numpy(twists.reshape(chunks, 6).sum(0)).float()
@@ -129,8 +128,8 @@ def contributions(rasterised: Rasterised, pixels: Tensor) -> Contributions:
     if m:
         threads.over(len(where), lambda first, last: splat_pixels.fill(*arrays, offsets, made, first, last))
     gaussian = torch.from_numpy(kept.view.gaussian[made.rows].astype(np.int64))
-    packed = (torch.from_numpy(x) for x in made[2:])
-    return Contributions(pixels, torch.from_numpy(offsets), gaussian, *packed, made)
+    alphas, weights, depths_m = (torch.from_numpy(x) for x in (made.alphas, made.weights, made.depths_m))
+    return Contributions(pixels, torch.from_numpy(offsets), gaussian, alphas, weights, depths_m, made)
 
 
 def lens_of(viewpoint: Viewpoint, drawing: Drawing) -> Lens:
@@ -139,22 +138,23 @@ def lens_of(viewpoint: Viewpoint, drawing: Drawing) -> Lens:
     (fx, fy), (cx, cy), (h, w) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2], camera.size
     side_x, side_y = (SIDE_REACH - 1) * 0.5 * w / fx, (SIDE_REACH - 1) * 0.5 * h / fy
     reaches = (-cx / fx - side_x, (w - cx) / fx + side_x), (-cy / fy - side_y, (h - cy) / fy + side_y)
-    vectors = [*T[:3, :3].T, T[:3, 3], (fx, fy), (cx, cy), *reaches]
     numbers = drawing.low_pass_px2, drawing.least_alpha, drawing.near_m, drawing.cap_m
-    tuples = (tuple(np.float32(x) for x in vector) for vector in vectors)
-    return Lens(*tuples, *(np.float32(x) for x in numbers), drawing.compensate, (h, w))
+    values: Any = [*T[:3, :3].T, T[:3, 3], (fx, fy), (cx, cy), *reaches, *numbers]
+    values = [np.float32(x) if np.ndim(x) == 0 else tuple(np.float32(y) for y in x) for x in values]
+    return Lens._make([*values, drawing.compensate, (h, w)])
 
 
 def _scene(gaussians: Gaussians, degree: int) -> Scene:
-    count = gaussians.harmonics.shape[1]
-    return Scene(*(_flat(x) for x in gaussians.tensors().values()), count, min(SIZES[degree], count))
+    flat = [_flat(x) for x in gaussians.tensors().values()]
+    stored = gaussians.harmonics.shape[1]
+    return Scene(flat[0], flat[1], flat[2], flat[3], flat[4], stored, min(SIZES[degree], stored))
 
 
 def _flat(tensor: Tensor) -> npt.NDArray[np.float32]:
     return tensor.detach().contiguous().numpy().reshape(-1)
 
 
-def _starts(counts: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+def _starts(counts: npt.NDArray[Any]) -> npt.NDArray[np.int64]:
     """Return where each of these many begins, and where the last ends."""
     return np.concatenate([np.zeros(1, np.int64), np.cumsum(counts, dtype=np.int64)])
 
@@ -188,7 +188,7 @@ def _spread(view: View, size: tuple[int, int], chunks: int, regions: int) -> tup
     return lists, Regions(members, first_member, *nothing, np.empty(regions * (TILES + 1), np.int32))
 
 
-def radii(view: View, lists: Lists) -> Tensor:
+def _radii(view: View, lists: Lists) -> Tensor:
     """Return half the larger side of each box, pixels."""
     boxes = view.boxes.reshape(-1, 4)[lists.rows]
     return torch.from_numpy(np.maximum(boxes[:, 1] - boxes[:, 0], boxes[:, 3] - boxes[:, 2]) * np.float32(0.5))

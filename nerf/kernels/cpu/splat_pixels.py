@@ -100,20 +100,20 @@ def back(
         behind = 0.0
         if len(d_weights):
             for i in range(offsets[k], offsets[k + 1]):
-                behind += np.float64(made.weights[i]) * d_weights[i]
+                behind += float(made.weights[i]) * d_weights[i]
         for i in range(offsets[k], offsets[k + 1]):
-            alpha, own = np.float64(made.alphas[i]), 0.0
-            if len(d_weights):
-                own = np.float64(made.weights[i]) * d_weights[i]
-                behind -= own
+            alpha, g = float(made.alphas[i]), 0.0
             through = alpha / (1 - alpha)
-            g = own - behind * through
+            if len(d_weights):
+                own = float(made.weights[i]) * d_weights[i]
+                behind -= own
+                g += own - behind * through
             if len(d_tau):
                 g += d_tau[i] * through
             if made.alphas[i] >= np.float32(MOST_ALPHA):
-                g = 0.0
+                continue
             record, copy = RECORD * np.int64(made.rows[i]), RECORD * np.int64(made.copies[i])
-            dx, dy = x - np.float64(view.records[record + X]), y - np.float64(view.records[record + Y])
+            dx, dy = x - float(view.records[record + X]), y - float(view.records[record + Y])
             parts[copy + G] += g
             parts[copy + GX] += g * dx
             parts[copy + GY] += g * dy

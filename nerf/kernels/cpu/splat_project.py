@@ -65,7 +65,7 @@ class Scene(NamedTuple):
     rotations: Numbers
     opacities: Numbers
     harmonics: Numbers
-    count: int
+    stored: int
     """Coefficients of a Gaussian's harmonics: stored ..."""
     used: int
     """... and counted."""
@@ -97,7 +97,7 @@ class Lists(NamedTuple):
     """(chunks,) how many copies there are before each chunk."""
     cursor: npt.NDArray[np.int64]
     """(chunks * regions,) where the next member of each region from each chunk goes."""
-    index: npt.NDArray[np.int64]
+    gaussians: npt.NDArray[np.int64]
     """(v,) which Gaussians are in view."""
     rows: Indices
     """(v,) their rows."""
@@ -192,7 +192,7 @@ def _keep(scene, view, buffer, basis, i, lane, row):  # type: ignore[no-untyped-
     out = np.uint64(RECORD) * np.uint64(row)
     store(view.records, np.int64(out), load_floats(buffer, np.int64(RECORD * lane)))
     away = buffer[AWAY + lane], buffer[AWAY + 16 + lane], buffer[AWAY + 32 + lane]
-    red, green, blue = shade(scene.harmonics, i, scene.count, scene.used, away, basis)
+    red, green, blue = shade(scene.harmonics, i, scene.stored, scene.used, away, basis)
     view.records[out + np.uint64(RED)] = red
     view.records[out + np.uint64(GREEN)] = green
     view.records[out + np.uint64(BLUE)] = blue
@@ -230,7 +230,7 @@ def spread_over_regions(view: View, size: tuple[int, int], lists: Lists, first: 
     for chunk in range(first, last):
         copy, place = lists.first_copy[chunk], lists.first_index[chunk]
         for row in range(chunk * CHUNK, chunk * CHUNK + view.found[chunk]):
-            lists.index[place] = view.gaussian[row]
+            lists.gaussians[place] = view.gaussian[row]
             lists.rows[place] = row
             lists.copies[place] = copy
             place += 1

@@ -68,6 +68,18 @@ def plus(a, b):  # type: ignore[no-untyped-def]
 
 
 @compiled
+def minus(a, b):  # type: ignore[no-untyped-def]
+    """Return the difference of two vectors."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@compiled
+def divided(a, number):  # type: ignore[no-untyped-def]
+    """Return a vector divided by a number."""
+    return a[0] / number, a[1] / number, a[2] / number
+
+
+@compiled
 def constants(vector):  # type: ignore[no-untyped-def]
     """Return three numbers, each in all lanes."""
     return floats(vector[0]), floats(vector[1]), floats(vector[2])

@@ -41,7 +41,7 @@ class Wanted(NamedTuple):
 
 
 @compiled
-def undraw(  # type: ignore[no-untyped-def]
+def undraw(
     view: View,
     regions: Regions,
     rules: Rules,

@@ -17,8 +17,10 @@ from nerf.kernels.cpu.splat_shape import (
     constants,
     covariance,
     cross,
+    divided,
     dot,
     logistic,
+    minus,
     pick,
     place,
     plus,
@@ -54,7 +56,7 @@ MEAN, SCALE, TURN, LOGIT, SCREEN, TWIST = 0, 3, 6, 10, 11, 12
 
 
 @compiled
-def unproject(  # type: ignore[no-untyped-def]
+def unproject(
     scene: Scene, lens: Lens, view: View, lists: Lists, parts: Numbers, out: Derivatives, first: int, last: int
 ) -> None:
     """Set the derivatives of chunks first to last - 1."""
@@ -142,24 +144,23 @@ def _sixteen(scene, lens, words, which):  # type: ignore[no-untyped-def]
 @compiled
 def _image(lens, words, row0, row1):  # type: ignore[no-untyped-def]
     """Return the derivatives by the mean's place in the image and by the rows of J V."""
-    half, two, zero = floats(np.float32(0.5)), floats(np.float32(2)), floats(np.float32(0))
+    half, minus_two, zero = floats(np.float32(0.5)), floats(np.float32(-2)), floats(np.float32(0))
     a, b, c, area, det, normal = covariance(lens, row0, row1)
     ca, cb, cc = c / det, zero - b / det, a / det  # the conic
     gx, gy, logit = _sum(words, GX), _sum(words, GY), _sum(words, G)
-    d_ca, d_cb, d_cc = zero - half * _sum(words, GXX), zero - _sum(words, GXY), zero - half * _sum(words, GYY)
-    # of an inverse: d_covariance = -conic d_conic conic
-    d_a = zero - (ca * ca * d_ca + ca * cb * d_cb + cb * cb * d_cc)
-    d_b = zero - (two * ca * cb * d_ca + (ca * cc + cb * cb) * d_cb + two * cb * cc * d_cc)
-    d_c = zero - (cb * cb * d_ca + cb * cc * d_cb + cc * cc * d_cc)
-    d_row0, d_row1 = times(row1, d_b), times(row0, d_b)
-    if lens.compensate:  # opacity sqrt(area / det), det = area + low (a + c) + ...
-        per_det = half * logit / det
-        d_a, d_c = d_a - per_det * floats(lens.low_pass_px2), d_c - per_det * floats(lens.low_pass_px2)
+    d_ca, d_cb, d_cc = zero - half * _sum(words, GXX), zero - half * _sum(words, GXY), zero - half * _sum(words, GYY)
+    # conic (J V) by triple products: row0 |row1|^2 - row1 (row0 . row1) would cancel in a needle
+    low, by0, by1 = floats(lens.low_pass_px2), cross(row1, normal), cross(normal, row0)
+    flat0, flat1 = divided(plus(by0, times(row0, low)), det), divided(plus(by1, times(row1, low)), det)
+    # d_(J V) = -2 conic d_conic conic (J V)
+    inner0, inner1 = plus(times(flat0, d_ca), times(flat1, d_cb)), plus(times(flat0, d_cb), times(flat1, d_cc))
+    d_row0 = times(plus(times(inner0, ca), times(inner1, cb)), minus_two)
+    d_row1 = times(plus(times(inner0, cb), times(inner1, cc)), minus_two)
+    if lens.compensate:  # the opacity's factor sqrt(area / det)
         least = floats(np.float32(LEAST_DET))
-        d_area = kept(area, least, half * logit / picked(area, least, area, least) - per_det)
-        d_normal = times(normal, two * d_area)
-        d_row0, d_row1 = plus(d_row0, cross(row1, d_normal)), plus(d_row1, cross(d_normal, row0))
-    d_row0, d_row1 = plus(d_row0, times(row0, two * d_a)), plus(d_row1, times(row1, two * d_c))
+        some = picked(area, least, area, least)
+        d_row0 = plus(d_row0, times(minus(divided(by0, some), flat0), logit))
+        d_row1 = plus(d_row1, times(minus(divided(by1, some), flat1), logit))
     return fma(ca, gx, cb * gy), fma(cb, gx, cc * gy), d_row0, d_row1
 
 
@@ -231,7 +232,7 @@ def _colour(scene, lens, view, out, words, small, row, lane, at):  # type: ignor
         g[k] = 0
         for c in range(3):
             out.harmonics[3 * (used * at + k) + c] = basis[k] * d[c]
-            g[k] += scene.harmonics[3 * (scene.count * i + k) + c] * d[c]
+            g[k] += scene.harmonics[3 * (scene.stored * i + k) + c] * d[c]
     slope(x, y, z, used, g, d_away)
     along = x * d_away[0] + y * d_away[1] + z * d_away[2]
     d_away[0], d_away[1], d_away[2] = (d_away[0] - x * along), (d_away[1] - y * along), (d_away[2] - z * along)
