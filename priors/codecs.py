@@ -70,13 +70,19 @@ def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:
 
 def decode_depth_png(data: bytes, path: Path, encoding: str = "kitti") -> FloatMap:
     """Read what a file holds as `read_depth_png` does; errors name the path."""
+    codes = _decode_codes(data, path, f"write uint16, metres x {PNG_SCALE[encoding]:.0f}")
+    return codes.astype(np.float32) / np.float32(PNG_SCALE[encoding])
+
+
+def _decode_codes(data: bytes, path: Path, advice: str) -> npt.NDArray[np.uint16]:
+    """Return the codes of a 16-bit one-channel PNG; `advice` says what to do with one of one channel and other bits."""
     codes = _decode(data, path)
     if codes.dtype != np.uint16 or codes.ndim != 2:
         channels = 1 if codes.ndim == 2 else codes.shape[2]
         kind = f"{8 * codes.itemsize} bits and {channels} channel{'s' if channels > 1 else ''}"
-        advice = f"write uint16, metres x {PNG_SCALE[encoding]:.0f}" if channels == 1 else "is this a colour map?"
+        advice = advice if channels == 1 else "is this a colour map?"
         raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {kind}: {advice}")
-    return codes.astype(np.float32) / np.float32(PNG_SCALE[encoding])
+    return np.asarray(codes, np.uint16)
 
 
 def encode_depth(depth_m: npt.NDArray[np.floating], encoding: str = "kitti") -> tuple[npt.NDArray[np.uint16], int]:
@@ -143,10 +149,15 @@ def write_codes_png(path: Path, codes: npt.NDArray[np.uint16]) -> None:
 
 def read_float_map(path: Path) -> FloatMap:
     """Read depth (metres) or disparity (px) by suffix: .png (kitti), .npy, .npz or .pfm; 0 = no value."""
+    return read_depth_png(path) if path.suffix.lower() == ".png" else read_numbers(path)
+
+
+def read_numbers(path: Path) -> FloatMap:
+    """Read a map's numbers as the file holds them, a PNG's codes too; by suffix, 0 = no value."""
     suffix = path.suffix.lower()
     if suffix == ".png":
-        return read_depth_png(path)
-    if suffix == ".pfm":
+        values: npt.NDArray[Any] = _decode_codes(read_bytes(path), path, "8 bits are too few for depth: write uint16")
+    elif suffix == ".pfm":
         values = read_pfm(path)
     elif suffix in (".npy", ".npz"):
         values = _load_numpy(path)

@@ -37,7 +37,7 @@ def read_ply(path: Path) -> tuple[np.ndarray, list[str]]:
     head, body = path.read_bytes().split(b"end_header\n", 1)
     lines = head.decode().splitlines()
     assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
-    kinds = {"float": "<f4", "double": "<f8", "uchar": "u1", "ushort": "<u2"}
+    kinds = {"float": "<f4", "double": "<f8", "uchar": "u1", "int": "<i4"}
     fields = [line.split()[1:] for line in lines if line.startswith("property")]
     count = next(int(line.split()[2]) for line in lines if line.startswith("element vertex"))
     points = np.frombuffer(body, np.dtype([(name, kinds[kind]) for kind, name in fields]))

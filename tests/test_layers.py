@@ -41,6 +41,7 @@ ROOMS = [
     "priors/build",
     "priors/methods",
     "priors/check",
+    "priors/imported",
     "priors/naming",
     "priors/advice",
     "priors/score",

@@ -7,6 +7,7 @@ PROGRAM = Program(
     "depth priors for street drives",
     {
         "build": "make depth maps for a drive and cache them",
+        "import": "take depth maps that another program made into the cache",
         "eval": "score cached maps against the drive's truth",
         "report": "write one page: tables, pictures to compare by a slider, plots",
         "show": "write pictures: image, depth, error and confidence side by side",

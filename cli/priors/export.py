@@ -169,7 +169,7 @@ def _write_ply(args: ExportArguments, path: Path, views: Views, step: Callable[[
 
     cloud = fuse(stepped(), views.near_poses, args.fusion, PLY_POINTS)
     ply.write_ply(path, cloud.points, views.origin_m, (*place.heading(views), *ply.FIELDS))
-    return [f"{len(cloud.points)} points (of {cloud.whole}): {path}"]
+    return [f"{len(cloud.points)} points: {path}"]
 
 
 WRITERS: dict[str, tuple[Callable[..., list[str]], int]] = {

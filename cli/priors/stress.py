@@ -14,7 +14,7 @@ each precision, and compare values and gradients with float64. One line a routin
 examples:
   priors stress
   priors stress --only volume argmin
-  priors stress --json > stress.json                     every cell, and why some make no sense
+  priors stress --json                                   every cell, and why some make no sense
   priors stress --modes --markdown docs/numerics.md      in each CPU mode; the page's tables are made anew
   ROADPRIOR_CPU=avx2 priors stress                       as on a CPU that has no more than AVX2
 """

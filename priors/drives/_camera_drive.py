@@ -11,7 +11,7 @@ from priors.drive_around import Stretch, tell
 from priors.drives._files import check_baseline, check_size, digest, read_sized
 from priors.drives._links import plain
 from priors.errors import DataError, UsageError
-from priors.types import Camera, Depth, Frame, Image, Matrix, Rig
+from priors.types import Camera, Depth, FloatMap, Frame, Image, Matrix, Rig
 
 BY_FRAME = "by frame"
 """What the description of a drive whose frames have cameras of their own says under `cameras`."""
@@ -180,6 +180,10 @@ class CameraDrive(ABC):
     def read_map(self, path: Path, id_: str) -> Depth:
         """Read a depth map of a frame, which must have its camera's size."""
         return Depth(check_size(codecs.read_float_map(path), path, self.camera_of(id_)))
+
+    def shown_map(self, values: FloatMap, id_: str) -> FloatMap:
+        """Return a map (height, width) of a frame's image as it is stored, as the frame shows the image."""
+        return values
 
     def paired_camera(self) -> str:
         """Return the pair's other camera, for data sets whose cameras all have one; else UsageError names them."""

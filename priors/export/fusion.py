@@ -2,6 +2,10 @@
 
 In a voxel the pixel that is seen from nearest is the point: its position is what that view's map says, and nothing is
 averaged. The other views' pixels in the voxel are its observations: a track, as COLMAP has it.
+
+Where there are more voxels than points are wanted, those with the least hash are kept: each is as likely as any other,
+and a voxel that goes never comes back, so that the memory does not grow with the drive (bottom-k sampling, Cohen and
+Kaplan, PODC 2007).
 """
 
 from collections.abc import Callable, Iterable
@@ -21,7 +25,7 @@ Step = Callable[[], None]
 SEEN = np.dtype(
     [
         ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1"),
-        ("confidence", "<f4"), ("depth", "<f4"), ("views", "<u2"),
+        ("confidence", "<f4"), ("depth", "<f4"), ("views", "<i4"),
     ]
 )  # fmt: skip
 """A point: metres; its colour; the confidence of its map there, 1 where the map has none; the depth from which it was
@@ -31,6 +35,8 @@ MODEL_POINTS = 200_000
 """Points where --points says nothing, for programs that start from them: what structure from motion gives."""
 _AT_ONCE = 1_000_000
 """Points that wait before they are merged: merging after each view would sort all of them each time."""
+_SPARE = 8
+"""Voxels kept for each point that is wanted, where most of them may be seen by too few views."""
 
 
 @dataclass(frozen=True)
@@ -44,12 +50,12 @@ class FusionConfig:
     views: int = 1
     """Least number of frames that must see a voxel: 2 or more drop what only one map says."""
     points: int | None = None
-    """Most points, spread evenly. Default: 200,000 for colmap and 3dgs, 1,000,000 for ply."""
+    """Most points, drawn evenly. Default: 200,000; 1,000,000 for ply."""
 
     def __post_init__(self) -> None:
         expect(0 < self.voxel_m < float("inf"), "--voxel-m", self.voxel_m, "metres, more than 0")
         expect(self.reach_m > 0, "--reach-m", self.reach_m, "metres, more than 0")
-        expect_between(1, self.views, 65535, "--views")
+        expect_between(1, self.views, MOST_POINTS, "--views")
         expect_between(1, self.points, MOST_POINTS, "--points")
 
 
@@ -71,8 +77,6 @@ class Cloud:
     """(n,) SEEN, metres, in the frame of the poses."""
     seen_by: dict[int, Observations]
     """A view's number -> what it sees."""
-    whole: int
-    """How many points there were before they were thinned."""
 
     def xyz_m(self) -> npt.NDArray[np.float64]:
         """Return the positions (n, 3), metres."""
@@ -97,21 +101,36 @@ def fuse(
     Raises:
         DataError: no pixel becomes a point.
     """
-    merged, pixels = _Merged(), {}
+    count = most if config.points is None else config.points
+    merged, pixels = _Merged(count * (_SPARE if config.views > 1 else 1)), {}
     for view in views:
         cells, points, flat = _view_points(view, T_world_cam[view.number], config)
-        merged.add(cells, points)
-        pixels[view.number] = cells, flat.astype(np.int32), view.camera.size[1]
+        taken = merged.add(cells, points)
+        pixels[view.number] = cells[taken], flat[taken].astype(np.int32), view.camera.size[1]
     cells, points = merged.finish()
     enough = points["views"] >= config.views
-    cells, points = cells[enough], points[enough]
+    cells, points = least(cells[enough], points[enough], count)
     if not len(points):
         told = f"no point within {config.reach_m:g} m that {config.views} views see"
         raise DataError(f"{told}: choose another --reach-m, --views or --voxel-m, or filter less")
-    count = min(most if config.points is None else config.points, len(points))
-    kept = np.unique(np.linspace(0, len(points) - 1, count).astype(np.int64))
-    seen_by = {number: _observations(cells[kept], *seen) for number, seen in pixels.items()}
-    return Cloud(points[kept], seen_by, len(points))
+    return Cloud(points, {number: _observations(cells, *seen) for number, seen in pixels.items()})
+
+
+def hash_of(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.uint64]:
+    """Return an even 64-bit hash of each number (n,): the finaliser of SplitMix64 (Steele et al., OOPSLA 2014)."""
+    mixed = cells.astype(np.uint64) + np.uint64(0x9E3779B97F4A7C15)
+    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return mixed ^ (mixed >> np.uint64(31))
+
+
+def least(cells: npt.NDArray[np.int64], points: Points, count: int) -> tuple[npt.NDArray[np.int64], Points]:
+    """Return the `count` cells with the least hash, in the order given, and their points."""
+    if len(cells) <= count:
+        return cells, points
+    hashes = hash_of(cells)
+    kept = hashes <= np.partition(hashes, count - 1)[count - 1]
+    return cells[kept], points[kept]
 
 
 def cells_of(points: Points, voxel_m: float) -> npt.NDArray[np.int64]:
@@ -131,17 +150,20 @@ def nearest(cells: npt.NDArray[np.int64], depth_m: npt.NDArray[np.floating]) -> 
 
 
 class _Merged:
-    """Points of several views, one a cell: what was merged, and what waits."""
+    """Points of several views, one a cell: what was merged, and what waits. At most so many cells are kept."""
 
-    def __init__(self) -> None:
+    def __init__(self, most: int) -> None:
+        self.most, self.largest = most, np.uint64(2**64 - 1)
         self.cells, self.points = np.zeros(0, np.int64), np.zeros(0, SEEN)
         self.waiting: list[tuple[npt.NDArray[np.int64], Points]] = []
 
-    def add(self, cells: npt.NDArray[np.int64], points: Points) -> None:
-        """Add a view's points (n,), no two in one cell."""
-        self.waiting.append((cells, points))
+    def add(self, cells: npt.NDArray[np.int64], points: Points) -> npt.NDArray[np.bool_]:
+        """Add a view's points (n,), no two in one cell; returns which of them may be kept (n,)."""
+        taken: npt.NDArray[np.bool_] = hash_of(cells) <= self.largest
+        self.waiting.append((cells[taken], points[taken]))
         if sum(len(cells) for cells, _ in self.waiting) > max(_AT_ONCE, len(self.cells)):
             self._merge()
+        return taken
 
     def finish(self) -> tuple[npt.NDArray[np.int64], Points]:
         """Return the cells (n,), ascending, and their points (n,)."""
@@ -157,7 +179,10 @@ class _Merged:
         first = np.flatnonzero(np.diff(cells, prepend=cells[:1] - 1)) if len(cells) else np.zeros(0, np.int64)
         counts = np.add.reduceat(points["views"].astype(np.int64), first) if len(first) else np.zeros(0, np.int64)
         self.cells, self.points = cells[first], points[first]
-        self.points["views"] = np.minimum(counts, np.iinfo(np.uint16).max)
+        self.points["views"] = counts
+        self.cells, self.points = least(self.cells, self.points, self.most)
+        if len(self.cells) == self.most:
+            self.largest = hash_of(self.cells).max()
 
 
 def _view_points(

@@ -86,7 +86,7 @@ def write(
     for name in POINT.names or ():
         points[name] = cloud.points[name]
     write_ply(folder / POINTS_FILE, points, comments=("metres, in the frame of transforms.json",))
-    write_bytes(folder / "transforms.json", _transforms(frames.entries, views).encode())
+    write_bytes(folder / "transforms.json", _transforms(frames.entries, views, config.metres).encode())
     line = command(folder, config)
     place.write_readme(folder, views, [*place.origin_lines(views), *_about(config), "", line])
     lines = [f"{len(frames.entries)} frames, {len(points)} points: {folder}"]
@@ -138,7 +138,7 @@ def _intrinsics(camera: Camera) -> dict[str, float]:
     return {"fl_x": float(K[0, 0]), "fl_y": float(K[1, 1]), **centre, "w": width, "h": height}
 
 
-def _transforms(entries: list[dict[str, Any]], views: Views) -> str:
+def _transforms(entries: list[dict[str, Any]], views: Views, metres: float) -> str:
     """Return transforms.json; the camera stands once where all frames share it."""
     names = _intrinsics(views.frames[0].camera)
     shared = {name: entries[0][name] for name in names}
@@ -151,6 +151,7 @@ def _transforms(entries: list[dict[str, Any]], views: Views) -> str:
         **shared,
         **dict.fromkeys(("k1", "k2", "p1", "p2"), 0.0),
         "applied_transform": moved.tolist(),
+        "depth_unit_scale_factor": metres,
         "ply_file_path": POINTS_FILE,
         "frames": [{key: value for key, value in entry.items() if key not in shared} for entry in entries],
     }
@@ -163,7 +164,8 @@ def _about(config: NerfstudioConfig) -> list[str]:
         "transforms.json: poses are camera to world, metres, OpenGL axes (x right, y up, z backward).",
         "The centre of the top-left pixel is (0.5, 0.5). applied_transform maps the drive's own frame to this one.",
         f"depth/: 16-bit PNG, {config.metres:g} m a unit, distance along the camera's z axis (not along the ray),",
-        "0 = no value: depth-nerfacto learns nothing there. The unit is a flag of the command below, not in the files.",
+        "0 = no value: depth-nerfacto learns nothing there. nerfstudio takes the unit from the command below; other",
+        "programs find it in transforms.json (depth_unit_scale_factor).",
         "masks/, where there are any: 0 = never sampled, neither for colour.",
         f"{POINTS_FILE}: coloured points of the depth maps, metres, the same frame (splatfacto starts from them).",
         "",

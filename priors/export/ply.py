@@ -28,7 +28,8 @@ FIELDS = (
     "views: how many frames see its voxel",
 )
 """What the points of fused maps hold: lines for the header."""
-_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<u2": "ushort", "<i4": "int"}
+_KINDS = {"<f4": "float", "<f8": "double", "|u1": "uchar", "<i4": "int"}
+"""Names of what most readers take: open3d knows no unsigned numbers of 16 bits."""
 
 
 def write_ply(path: Path, points: Points, origin_m: Offset = origin.NONE, comments: Sequence[str] = COMMENTS) -> None:
