@@ -62,6 +62,7 @@ class VolumetricFamily:
     distortion: float = 1.0
     """How much more the distortion loss weighs than usual."""
 
+    unread: ClassVar[tuple[str, ...]] = ("model.gaussians",)
     aligns: ClassVar[bool] = True
     """A prior's scales and shifts can be learned with the field."""
 
