@@ -123,7 +123,9 @@ def little_is_enough(measured: Measured) -> Finding:
         few = measured.psnr(role, density=DENSITIES[0], over_all=True)
         if alone is not None and few is not None:
             tests.append(Test(role, few > alone, f"{few - alone:+.2f} dB beside colours alone"))
-    return _finding("A tiny amount of depth, 5 % of the pixels, improves sparse views.", tests, lambda: _off(measured, PRIORS[1:]))
+    return _finding(
+        "A tiny amount of depth, 5 % of the pixels, improves sparse views.", tests, lambda: _off(measured, PRIORS[1:])
+    )
 
 
 def masked_mono(measured: Measured) -> Finding:
