@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerf.kernels.cpu.lanes import load_floats, store
+from nerf.kernels.cpu.lanes import floats, fma, ints, larger, load_floats, root, smaller, store, to_floats, truncate
+from nerf.kernels.cpu.splat_lanes import lanes, picked, spread
 from nerf.kernels.cpu.splat_project import (
     DEPTH,
     NARROW,
@@ -30,8 +31,8 @@ TILES = (REGION // TILE) ** 2
 MOST_SPANS = REGION // TILE
 """Rows of tiles of a region."""
 
-SLACK_PX = np.float32(0.01)
-"""Ellipses reach so much farther: rounding must not lose a pixel."""
+SLACK_PX, SLACK_SHARE = np.float32(0.01), np.float32(5e-4)
+"""Ellipses reach so much farther, and such a share of their half width."""
 
 
 class Regions(NamedTuple):
@@ -140,64 +141,66 @@ def _sort(most, scratch, count):  # type: ignore[no-untyped-def]
 @compiled
 def _list(view, regions, scratch, region, corner):  # type: ignore[no-untyped-def]
     """Fill the lists of a region's tiles: those that a Gaussian's ellipse reaches."""
-    first, ends = regions.first_member[region], (TILES + 1) * region
+    first, ends, words = regions.first_member[region], regions.ends[(TILES + 1) * region :], scratch.words
+    members, boxes, records, every = regions.members, view.boxes, scratch.records, scratch.spans
     for tile in range(TILES + 1):
-        regions.ends[ends + tile] = 0
-    spans = 0
+        ends[tile] = 0
+    spans = np.uint64(0)
     for k in range(regions.first_member[region + 1] - first):
-        left, right, top, bottom = box(view.boxes, regions.members[2 * (first + k)])
+        left, right, top, bottom = box(boxes, members[np.uint64(2 * (first + k))])
         left, right = max(left - corner[0], 0) // TILE, min(right - corner[0], REGION - 1) // TILE
         low, high = max(top - corner[1], 0) // TILE, min(bottom - corner[1], REGION - 1) // TILE
+        bent = right > left and high > low
+        if bent:
+            _reach(records, RECORD * k, corner, words)
         for v in range(low, high + 1):
             start, stop = left, right
-            if right > left and bottom // TILE > top // TILE:
-                start, stop = _reach(scratch.records, k, corner, v, left, right)
+            if bent:
+                start = max(left, np.int64(words[np.uint64(v)]))
+                stop = min(right, np.int64(words[np.uint64(v + MOST_SPANS)]))
             for u in range(start, stop + 1):
-                regions.ends[ends + MOST_SPANS * v + u + 1] += 1
+                ends[np.uint64(MOST_SPANS * v + u + 1)] += 1
             if stop >= start:
-                scratch.spans[spans] = start | stop << 3 | v << 6 | k << 9
-                spans += 1
+                every[spans] = start | stop << 3 | v << 6 | k << 9
+                spans += np.uint64(1)
     for tile in range(TILES):
-        regions.ends[ends + tile + 1] += regions.ends[ends + tile]
-    cursor = np.empty(TILES, np.int64)
+        ends[tile + 1] += ends[tile]
+    cursor, entries = np.empty(TILES, np.int64), regions.entries
     for tile in range(TILES):
-        cursor[tile] = regions.first_entry[region] + regions.ends[ends + tile]
+        cursor[tile] = regions.first_entry[region] + ends[tile]
     for k in range(spans):
-        span = scratch.spans[k]
-        v = span >> 6 & 7
-        for u in range(span & 7, (span >> 3 & 7) + 1):
-            tile = MOST_SPANS * v + u
-            regions.entries[cursor[tile]] = span >> 9
-            cursor[tile] += 1
+        span = every[k]
+        row = MOST_SPANS * (span >> 6 & 7)
+        for tile in range(np.uint64(row + (span & 7)), np.uint64(row + (span >> 3 & 7) + 1)):
+            place = cursor[tile]
+            entries[np.uint64(place)] = span >> 9
+            cursor[tile] = place + 1
 
 
-@compiled(error_model="numpy")
-def _reach(records, k, corner, v, left, right):  # type: ignore[no-untyped-def]
-    """Return the first and last tile of a row of tiles that an ellipse reaches, of those from left to right.
+@compiled
+def _reach(records, at, corner, words):  # type: ignore[no-untyped-def]
+    """Set the first and the last tile of each row of tiles that an ellipse reaches: 8 words each.
 
-    The ellipse is xx dx^2 + xy dx dy + yy dy^2 + log = log of the least alpha. Along a band of dy its ends in x are its
-    own where they lie in the band, else those of the band's nearer side.
+    The ellipse is xx dx^2 + xy dx dy + yy dy^2 = -reach, xx and yy below 0. Along a band of rows its end in x is its
+    own where that lies in the band, else where the band's nearer side cuts it. Lanes: left ends, then right ends.
     """
-    at = np.uint64(RECORD) * np.uint64(k)
-    mx, my = records[at + np.uint64(X)] - corner[0], records[at + np.uint64(Y)] - corner[1]
-    xx, xy, yy = records[at + np.uint64(XX)], records[at + np.uint64(XY)], records[at + np.uint64(YY)]
-    wide, reach, narrow = records[at + np.uint64(WIDE)], records[at + np.uint64(REACH)], records[at + np.uint64(NARROW)]
-    above, below = TILE * v - my - SLACK_PX, TILE * v + (TILE - 1) - my + SLACK_PX
-    turn = np.float32(-0.5) * xy / yy * wide  # dy of the ellipse's right end
-    low, high = -wide, wide
-    if not above <= -turn <= below:
-        low = _side(xx, xy, narrow, reach, above if -turn < above else below, np.float32(-1))
-    if not above <= turn <= below:
-        high = _side(xx, xy, narrow, reach, above if turn < above else below, np.float32(1))
-    if not low <= high:  # lost to rounding: the whole box
-        return left, right
-    start = min(max(np.ceil((mx + low - SLACK_PX - (TILE - 1)) / TILE), np.float32(left)), np.float32(right + 1))
-    stop = max(min(np.floor((mx + high + SLACK_PX) / TILE), np.float32(right)), np.float32(left - 1))
-    return int(start), int(stop)
-
-
-@compiled(error_model="numpy", inline="always")
-def _side(xx, xy, narrow, reach, dy, sign):  # type: ignore[no-untyped-def]
-    """Return where a row at dy leaves the ellipse: xx dx^2 + xy dx dy + yy dy^2 = -reach, xx below 0."""
-    root = np.sqrt(max(-xx * reach - narrow * dy * dy, np.float32(0)))
-    return (np.float32(-0.5) * xy * dy - sign * root) / xx
+    lane = lanes()
+    band = to_floats((lane & ints(MOST_SPANS - 1)) * ints(TILE))
+    sign = to_floats((lane >> ints(3)) * ints(2) - ints(1))
+    xx, xy = spread(records, at + XX), spread(records, at + XY)
+    wide, reach, narrow = spread(records, at + WIDE), spread(records, at + REACH), spread(records, at + NARROW)
+    mx = spread(records, at + X) - floats(np.float32(corner[0]))
+    above = band - (spread(records, at + Y) - floats(np.float32(corner[1]))) - floats(SLACK_PX)
+    below = above + floats(np.float32(TILE - 1) + np.float32(2) * SLACK_PX)
+    turn = sign * floats(np.float32(-0.5)) * xy / spread(records, at + YY) * wide  # dy of the ellipse's own ends
+    dy = smaller(larger(turn, above), below)
+    inside = larger(floats(np.float32(0)) - fma(xx, reach, narrow * dy * dy), floats(np.float32(0)))
+    slack = fma(floats(SLACK_SHARE), wide, floats(SLACK_PX))  # rounding must not lose a pixel
+    dx = (floats(np.float32(-0.5)) * xy * dy - sign * root(inside)) / xx + sign * slack
+    side = floats(np.float32(MOST_SPANS))
+    tile = (mx + dx) * floats(np.float32(1 / TILE))
+    none, one = floats(np.float32(0)), floats(np.float32(1))
+    last = to_floats(truncate(smaller(larger(tile + one, none), side))) - one
+    start = smaller(larger(tile - floats(np.float32((TILE - 1) / TILE)), none), side)
+    start = side - to_floats(truncate(side - start))
+    store(words, np.int64(0), picked(sign, none, last, start))
