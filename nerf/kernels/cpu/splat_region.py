@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nerf.kernels.cpu.lanes import floats, fma, ints, larger, load_floats, root, smaller, store, to_floats, truncate
-from nerf.kernels.cpu.splat_lanes import lanes, picked, spread
+from nerf.kernels.cpu.splat_lanes import lanes, last_bit, low_bytes, spread
 from nerf.kernels.cpu.splat_project import (
     DEPTH,
     NARROW,
@@ -28,7 +28,7 @@ from nerf.kernels.cpu.splat_project import (
 from priors.machine.compiled import compiled
 
 TILES = (REGION // TILE) ** 2
-MOST_SPANS = REGION // TILE
+SIDE = REGION // TILE
 """Rows of tiles of a region."""
 
 SLACK_PX, SLACK_SHARE = np.float32(0.01), np.float32(5e-4)
@@ -59,8 +59,8 @@ class Scratch(NamedTuple):
     """(2 * most,)"""
     order: Indices
     """(2 * most,)"""
-    spans: Indices
-    """(most * MOST_SPANS,)"""
+    masks: npt.NDArray[np.uint64]
+    """(most,)"""
     sums: Numbers
     """(most * RECORD,) what a region adds to its members' gradients."""
     words: Numbers
@@ -85,12 +85,14 @@ def arrange(view: View, size: tuple[int, int], regions: Regions, scratch: Scratc
     for k in range(count):
         scratch.order[k] = k
     _sort(_take_keys(view, regions, scratch, first, count), scratch, count)
-    for k in range(2 * count):
-        scratch.spans[k] = regions.members[2 * first + k]
+    members, masks, order = regions.members, scratch.masks, scratch.order
     for k in range(count):
-        member = scratch.order[k]
-        regions.members[2 * (first + k)] = scratch.spans[2 * member]
-        regions.members[2 * (first + k) + 1] = scratch.spans[2 * member + 1]
+        row, copy = members[2 * (first + k)], members[2 * (first + k) + 1]
+        masks[k] = np.uint64(row) << np.uint64(32) | np.uint64(copy)
+    for k in range(count):
+        both = masks[order[k]]
+        members[2 * (first + k)] = np.int32(both >> np.uint64(32))
+        members[2 * (first + k) + 1] = np.int32(both & np.uint64(0xFFFFFFFF))
     fetch(view, regions, scratch, region)
     across = (size[1] + REGION - 1) // REGION
     corner = (region % across) * REGION, (region // across) * REGION
@@ -140,67 +142,63 @@ def _sort(most, scratch, count):  # type: ignore[no-untyped-def]
 
 @compiled
 def _list(view, regions, scratch, region, corner):  # type: ignore[no-untyped-def]
-    """Fill the lists of a region's tiles: those that a Gaussian's ellipse reaches."""
-    first, ends, words = regions.first_member[region], regions.ends[(TILES + 1) * region :], scratch.words
-    members, boxes, records, every = regions.members, view.boxes, scratch.records, scratch.spans
+    """Fill the lists of a region's tiles: those that a Gaussian's ellipse reaches. A bit of a word is a tile."""
+    first, ends = regions.first_member[region], regions.ends[(TILES + 1) * region :]
+    members, boxes, records, masks = regions.members, view.boxes, scratch.records, scratch.masks
+    count, every = regions.first_member[region + 1] - first, np.uint64(0xFFFFFFFFFFFFFFFF)
     for tile in range(TILES + 1):
         ends[tile] = 0
-    spans = np.uint64(0)
-    for k in range(regions.first_member[region + 1] - first):
+    for k in range(count):
         left, right, top, bottom = box(boxes, members[np.uint64(2 * (first + k))])
         left, right = max(left - corner[0], 0) // TILE, min(right - corner[0], REGION - 1) // TILE
         low, high = max(top - corner[1], 0) // TILE, min(bottom - corner[1], REGION - 1) // TILE
-        bent = right > left and high > low
-        if bent:
-            _reach(records, RECORD * k, corner, words)
-        for v in range(low, high + 1):
-            start, stop = left, right
-            if bent:
-                start = max(left, np.int64(words[np.uint64(v)]))
-                stop = min(right, np.int64(words[np.uint64(v + MOST_SPANS)]))
-            for u in range(start, stop + 1):
-                ends[np.uint64(MOST_SPANS * v + u + 1)] += 1
-            if stop >= start:
-                every[spans] = start | stop << 3 | v << 6 | k << 9
-                spans += np.uint64(1)
+        columns = (np.uint64(2) << np.uint64(right)) - (np.uint64(1) << np.uint64(left))
+        mask = columns * np.uint64(0x0101010101010101)
+        mask &= (every >> np.uint64(56 - 8 * high)) & (every << np.uint64(8 * low))
+        if right > left and high > low:
+            mask &= _reach(records, RECORD * k, corner)
+        masks[k] = mask
+        while mask:
+            ends[np.uint64(last_bit(mask) + 1)] += 1
+            mask &= mask - np.uint64(1)
     for tile in range(TILES):
         ends[tile + 1] += ends[tile]
     cursor, entries = np.empty(TILES, np.int64), regions.entries
     for tile in range(TILES):
         cursor[tile] = regions.first_entry[region] + ends[tile]
-    for k in range(spans):
-        span = every[k]
-        row = MOST_SPANS * (span >> 6 & 7)
-        for tile in range(np.uint64(row + (span & 7)), np.uint64(row + (span >> 3 & 7) + 1)):
+    for k in range(count):
+        mask = masks[k]
+        while mask:
+            tile = np.uint64(last_bit(mask))
             place = cursor[tile]
-            entries[np.uint64(place)] = span >> 9
+            entries[np.uint64(place)] = k
             cursor[tile] = place + 1
+            mask &= mask - np.uint64(1)
 
 
 @compiled
-def _reach(records, at, corner, words):  # type: ignore[no-untyped-def]
-    """Set the first and the last tile of each row of tiles that an ellipse reaches: 8 words each.
+def _reach(records, at, corner):  # type: ignore[no-untyped-def]
+    """Return a bit for each tile of a region whether an ellipse reaches it.
 
     The ellipse is xx dx^2 + xy dx dy + yy dy^2 = -reach, xx and yy below 0. Along a band of rows its end in x is its
-    own where that lies in the band, else where the band's nearer side cuts it. Lanes: left ends, then right ends.
+    own where that lies in the band, else where the band's nearer side cuts it. A lane is a row of tiles.
     """
-    lane = lanes()
-    band = to_floats((lane & ints(MOST_SPANS - 1)) * ints(TILE))
-    sign = to_floats((lane >> ints(3)) * ints(2) - ints(1))
     xx, xy = spread(records, at + XX), spread(records, at + XY)
-    wide, reach, narrow = spread(records, at + WIDE), spread(records, at + REACH), spread(records, at + NARROW)
+    wide, narrow = spread(records, at + WIDE), spread(records, at + NARROW)
+    none, one, half = floats(np.float32(0)), floats(np.float32(1)), floats(np.float32(-0.5))
     mx = spread(records, at + X) - floats(np.float32(corner[0]))
-    above = band - (spread(records, at + Y) - floats(np.float32(corner[1]))) - floats(SLACK_PX)
+    above = to_floats((lanes() & ints(SIDE - 1)) * ints(TILE)) - floats(SLACK_PX)
+    above = above - (spread(records, at + Y) - floats(np.float32(corner[1])))
     below = above + floats(np.float32(TILE - 1) + np.float32(2) * SLACK_PX)
-    turn = sign * floats(np.float32(-0.5)) * xy / spread(records, at + YY) * wide  # dy of the ellipse's own ends
-    dy = smaller(larger(turn, above), below)
-    inside = larger(floats(np.float32(0)) - fma(xx, reach, narrow * dy * dy), floats(np.float32(0)))
+    turn = half * xy / spread(records, at + YY) * wide  # dy of the ellipse's right end
     slack = fma(floats(SLACK_SHARE), wide, floats(SLACK_PX))  # rounding must not lose a pixel
-    dx = (floats(np.float32(-0.5)) * xy * dy - sign * root(inside)) / xx + sign * slack
-    side = floats(np.float32(MOST_SPANS))
-    tile = (mx + dx) * floats(np.float32(1 / TILE))
-    none, one = floats(np.float32(0)), floats(np.float32(1))
-    last = to_floats(truncate(smaller(larger(tile + one, none), side))) - one
-    start = smaller(larger(tile - floats(np.float32((TILE - 1) / TILE)), none), side)
-    start = side - to_floats(truncate(side - start))
-    store(words, np.int64(0), picked(sign, none, last, start))
+    inverse, base = one / xx, none - xx * spread(records, at + REACH)
+    dy = smaller(larger(turn, above), below)
+    right = (half * xy * dy - root(larger(base - narrow * dy * dy, none))) * inverse + slack
+    dy = smaller(larger(none - turn, above), below)
+    left = (half * xy * dy + root(larger(base - narrow * dy * dy, none))) * inverse - slack
+    side, share = floats(np.float32(SIDE)), floats(np.float32(1 / TILE))
+    stop = truncate(smaller(larger(fma(mx + right, share, one), none), side))
+    start = smaller(larger(fma(mx + left, share, floats(np.float32(-(TILE - 1) / TILE))), none), side)
+    start = ints(SIDE) - truncate(side - start)
+    return low_bytes(larger((ints(1) << stop) - (ints(1) << start), ints(0)))
