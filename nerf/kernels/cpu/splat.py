@@ -151,6 +151,8 @@ def _scene(gaussians: Gaussians, degree: int) -> Scene:
 
 
 def _flat(tensor: Tensor) -> npt.NDArray[np.float32]:
+    if tensor.dtype != torch.float32:  # lanes would read other numbers
+        raise ValueError(f"expected float32, found {tensor.dtype}")
     return tensor.detach().contiguous().numpy().reshape(-1)
 
 

@@ -167,13 +167,13 @@ def _list(view, regions, scratch, region, corner):  # type: ignore[no-untyped-de
     for tile in range(TILES):
         cursor[tile] = regions.first_entry[region] + ends[tile]
     for k in range(count):
-        mask = masks[k]
-        while mask:
-            tile = np.uint64(last_bit(mask))
-            place = cursor[tile]
+        rest = masks[k]
+        while rest:
+            here = np.uint64(last_bit(rest))
+            place = cursor[here]
             entries[np.uint64(place)] = k
-            cursor[tile] = place + 1
-            mask &= mask - np.uint64(1)
+            cursor[here] = place + 1
+            rest &= rest - np.uint64(1)
 
 
 @compiled
