@@ -11,8 +11,8 @@ Quirks kept here (those of the tables in _nuscenes_tables.py):
 - An image takes the sweep nearest in time, at most 51 ms away; sweep(k) counts sweeps from there. Each file has an ego
   pose of its own, so the vehicle's motion between image and sweep is accounted for.
 - Images are undistorted already. No two cameras are a stereo pair.
-- A sweep's points have five numbers, x y z intensity ring, in the LiDAR's frame (x right, y forward, z up). They are not
-  compensated for the motion during the turn, and their times are not known.
+- A sweep's points have five numbers, x y z intensity ring, in the LiDAR's frame (x right, y forward, z up). They are
+  not compensated for the motion during the turn, and their times are not known.
 - The world is the map's frame, metres. ego_pose has no height: z is 0 along the whole drive.
 """
 
