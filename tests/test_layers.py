@@ -46,6 +46,7 @@ ROOMS = [
     "priors/report",
     "priors/view",
     "priors/export",
+    "priors/bench",
     "priors/street",
     "priors/learn",
     "nerf/types",

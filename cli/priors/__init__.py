@@ -12,6 +12,7 @@ PROGRAM = Program(
         "show": "write pictures: image, depth, error and confidence side by side",
         "view": "look at a drive and its priors in 3D, live in a browser",
         "list": "list what a cache holds",
+        "bench": "run time against error of every method, on a drive of yours",
         "check": "audit a drive: calibration, joins, stereo, poses, LiDAR",
         "poses": "refine a drive's poses by what its images see",
         "train": "train the networks: render samples, train, pack weights",
