@@ -10,6 +10,7 @@ from priors.bench.baselines import Recipe, Sgbm
 from priors.bench.psmnet import Psmnet
 from priors.errors import DataError
 from priors.keys import key_of
+from priors.methods._network import Network
 from priors.methods.completion import Completion
 from priors.methods.mono import Mono
 from priors.methods.stereo import Stereo
@@ -56,7 +57,7 @@ def field_size(runtimes: Sequence[str] | None = None) -> list[Entrant]:
     """List all entrants of ours: each method's usual settings, and each model, size and runtime that has weights.
 
     Args:
-        runtimes: those to enter; None: every one. What cannot run here says so when it is resolved.
+        runtimes: those to enter; None: every one that runs here.
     """
     return [Entrant(_name(each), each) for kind in methods.names() for each in presets(kind, runtimes)]
 
@@ -95,7 +96,7 @@ def presets(name: str, runtimes: Sequence[str] | None = None) -> list[Method]:
         if field == "runtime" and runtimes is not None:
             options = [option for option in (*options, AUTO) if option in runtimes]
         found = [each for method in found for each in _varied(method, field, options)]
-    return [method for method in found if _has_weights(method)]
+    return [method for method in found if _can_run(method)]
 
 
 def _varied(method: Method, field: str, options: Sequence[Any]) -> list[Method]:
@@ -105,10 +106,13 @@ def _varied(method: Method, field: str, options: Sequence[Any]) -> list[Method]:
     return [replace(method, **{field: option}) for option in options]
 
 
-def _has_weights(method: Method) -> bool:
-    """Tell whether a method's network, if it has one, has weights that come with the package."""
+def _can_run(method: Method) -> bool:
+    """Tell whether a method's network, if it has one, has weights that come with the package and runs here."""
     try:
         method.weights_digest()
+        network = getattr(method, "network", None)
+        if isinstance(network, Network):
+            network.decide()
     except DataError:
         return False
     return True

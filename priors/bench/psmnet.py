@@ -51,7 +51,7 @@ class Psmnet(Method):
         """Make the dense map (height, width), metres; no confidence."""
         import torch
 
-        net = _load(self.code, self.weights)
+        net = _load(self.code, self.weights, tuple(path.stat().st_mtime_ns for path in (self.code, self.weights)))
         pair, fx_baseline = read_pair(frame), frame.camera.fx * baseline(frame)
         height, width = frame.camera.size
         with torch.inference_mode():
@@ -72,8 +72,8 @@ def _view(image: Image) -> npt.NDArray[np.float32]:
 
 
 @lru_cache(maxsize=1)
-def _load(code: Path, weights: Path) -> Any:
-    """Load the network once a process; DataError where the files are something else."""
+def _load(code: Path, weights: Path, _times: tuple[int, ...]) -> Any:
+    """Load the network once a process, and again where a file has changed; DataError where they are something else."""
     import torch
 
     try:

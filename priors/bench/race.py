@@ -99,6 +99,7 @@ class Race:
     def run(self, entered: Entered, on_trial: Callable[[str], None] = lambda name: None) -> Bench:
         """Make the maps, and write what was measured after each frame; told the name of an entrant after each map."""
         bench = Bench(self.asked, tuple(runner.standing for runner in entered.runners), self.command, entered.busy)
+        kept = bench.beside(earlier(self.folder, self.asked))
         running = [runner for runner in entered.runners if runner.entrant.name in entered.plan.frames]
         for runner in running:
             self._warm_up(runner)
@@ -107,8 +108,8 @@ class Race:
                 if number < entered.plan.frames[runner.entrant.name] and runner.make is not None:
                     self._go(runner)
                     on_trial(runner.entrant.name)
-            bench.save(self.folder)
-        bench.save(self.folder)
+            kept.save(self.folder)
+        kept.save(self.folder)
         return bench
 
     def _standing(self, entrant: Entrant, frame: Frame) -> Standing:

@@ -7,8 +7,8 @@
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import median
 from typing import Any, Self
@@ -102,6 +102,12 @@ class Bench:
     command: str = ""
     busy: float = math.nan
     """Load of the machine for each core when it began; NaN: not known."""
+
+    def beside(self, others: Mapping[str, Standing]) -> Self:
+        """Return it with the standings, by identity, of who did not take part this time."""
+        own = {standing.identity for standing in self.standings}
+        more = tuple(standing for identity, standing in others.items() if identity not in own)
+        return replace(self, standings=(*self.standings, *more))
 
     def save(self, folder: Path) -> None:
         """Write it, atomically."""
