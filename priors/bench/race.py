@@ -46,6 +46,8 @@ class Entered:
     plan: Schedule
     busy: float
     """As in Bench."""
+    ends_s: float
+    """When no new round begins, on the clock of time.perf_counter: a machine may be slower than it was scouted."""
 
 
 @dataclass(frozen=True)
@@ -93,8 +95,9 @@ class Race:
             on_scouted(entrant.name)
         if all(runner.standing.error for runner in runners):
             raise DataError(f"no entrant can work on {self.judge.drive.name}: {runners[0].standing.error}")
-        plan = schedule(self._needs(runners), self.limit_s - (time.perf_counter() - began))
-        return Entered(tuple(runners), plan, busy)
+        ends_s = began + self.limit_s
+        plan = schedule(self._needs(runners), ends_s - time.perf_counter())
+        return Entered(tuple(runners), plan, busy, ends_s)
 
     def run(self, entered: Entered, on_trial: Callable[[str], None] = lambda name: None) -> Bench:
         """Make the maps, and write what was measured after each frame; told the name of an entrant after each map."""
@@ -104,6 +107,8 @@ class Race:
         for runner in running:
             self._warm_up(runner)
         for number in range(max(entered.plan.frames.values(), default=0)):
+            if number and time.perf_counter() > entered.ends_s:
+                break
             for runner in running:
                 if number < entered.plan.frames[runner.entrant.name] and runner.make is not None:
                     self._go(runner)

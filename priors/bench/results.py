@@ -84,9 +84,9 @@ class Standing:
         return {key: math.fsum(values) / len(values) if values else math.nan for key, values in numbers.items()}
 
     def worth(self, error: str = "abs_rel") -> Worth:
-        """Return what the front compares."""
+        """Return what the front compares, as exact as the table prints it: a runtime's rounding wins nothing."""
         metrics = self.metrics()
-        return Worth(self.seconds, metrics.get(error, math.nan), metrics.get("density", 0.0))
+        return Worth(self.seconds, round(metrics.get(error, math.nan), 4), round(metrics.get("density", 0.0), 3))
 
     def _median(self, name: str) -> float:
         return median(getattr(trial, name) for trial in self.trials) if self.trials else math.nan

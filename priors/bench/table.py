@@ -83,13 +83,25 @@ def scatter(bench: Bench) -> Scatter | None:
     densest = max(each.worth().density for each in shown)
     dense = [each for each in shown if each.worth().density >= densest - 0.01]
     front = dict(zip((each.name for each in dense), on_front([each.worth() for each in dense]), strict=True))
-    dots = [_dot(each, each in dense, front.get(each.name, False)) for each in shown]
+    dots = [
+        Dot(
+            _label(each, shown) + ("" if each in dense else f" ({each.worth().density:.0%} dense)"),
+            1e3 * each.seconds,
+            each.worth().error,
+            each.family,
+            front.get(each.name, False),
+        )
+        for each in shown
+    ]
     return Scatter(dots, table.COLUMNS[ERROR].label, f"{bench.asked['drive']}, {len(bench.asked['frames'])} frames")
 
 
-def _dot(standing: Standing, dense: bool, front: bool) -> Dot:
-    name = standing.name if dense else f"{standing.name} ({standing.worth().density:.0%} dense)"
-    return Dot(name, 1e3 * standing.seconds, standing.worth().error, standing.family, front)
+def _label(standing: Standing, shown: Sequence[Standing]) -> str:
+    """Name an entrant; of those that differ from a faster one in their runtime alone, by the runtime."""
+    *words, last = standing.name.split()
+    faster = shown[: shown.index(standing)]
+    alike = [each for each in faster if words and each.family == standing.family and each.name.split()[:-1] == words]
+    return last if alike else standing.name
 
 
 def save(bench: Bench, folder: Path, laid: Table) -> list[Path]:

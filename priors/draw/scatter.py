@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from priors.draw import figure
-from priors.draw.lines import MARKERS
+from priors.draw.lines import MARKERS, scale_y_by_logarithm
 
 if TYPE_CHECKING:  # matplotlib takes half a second to import
     from matplotlib.axes import Axes
@@ -27,6 +27,8 @@ PLACES = tuple(
     for step in steps
 )
 """Where a name may stand: its baseline above its dot, points, and on which side; the first free place is taken."""
+MANY = 8
+"""Times the least error from which on the largest asks for a logarithmic axis."""
 BESIDE_PX = 25
 """Dots nearer in time than this are one above the other."""
 
@@ -82,10 +84,11 @@ def draw(plot: Scatter) -> "Figure":
         _draw_front(axes, plot.dots)
         for number, family in enumerate(families):
             own = sorted((dot.milliseconds, dot.error) for dot in plot.dots if dot.family == family)
-            colour, marker = figure.COLOURS[number % len(figure.COLOURS)], MARKERS[number % len(MARKERS)]
+            colour = figure.COLOURS[number % len(figure.COLOURS)]
+            marker = MARKERS[(number + number // len(figure.COLOURS)) % len(MARKERS)]  # the next round has others
             x, y = zip(*own, strict=True)
             axes.plot(x, y, linewidth=1, markersize=6, color=colour, marker=marker)
-        axes.set_ylim(0, 1.08 * max(dot.error for dot in plot.dots) or 1)
+        _scale_errors(axes, [dot.error for dot in plot.dots])
         _mark_times(axes, [dot.milliseconds for dot in plot.dots])
         made.draw_without_rendering()  # lays out the axes: labels are placed in pixels
         _label(axes, plot.dots)
@@ -99,6 +102,15 @@ def _draw_front(axes: "Axes", dots: Sequence[Dot]) -> None:
     if best:
         x, y = zip(*best, strict=True)
         axes.step(x, y, where="post", color=figure.FAINT, linewidth=1.2, linestyle=(0, (5, 3)), zorder=0)
+
+
+def _scale_errors(axes: "Axes", errors: Sequence[float]) -> None:
+    """Let the errors start at 0; where the largest is many times the least, on a logarithmic axis."""
+    if min(errors) > 0 and max(errors) > MANY * min(errors):
+        scale_y_by_logarithm(axes)
+        axes.set_ylim(min(errors) / 1.3, max(errors) * 1.3)
+    else:
+        axes.set_ylim(0, 1.08 * max(errors) or 1)
 
 
 def _mark_times(axes: "Axes", milliseconds: Sequence[float]) -> None:
