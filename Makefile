@@ -3,13 +3,15 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 MESH_VENV ?= $(VENV)-mesh
+SITE_VENV ?= $(VENV)-site
 DEMO ?= demo
 DATA ?= ../shared/data/kitti_raw_397x120
 DEVICE ?= cuda
 INSTALL := -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PIP := $(BIN)/python $(INSTALL)
 
-.PHONY: demo test modes slow browser splats datasets stress mesh lint types bench gpu gpu-pack clean
+.DEFAULT_GOAL := help
+.PHONY: help fix cov demo test modes slow browser site splats datasets stress mesh lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -19,6 +21,10 @@ $(VENV)/.installed: pyproject.toml constraints.txt
 $(VENV)/.dev: $(VENV)/.installed
 	$(PIP) --editable .[dev]
 	touch $@
+
+help:  ## this list
+	@sed -n 's/^\([a-z][a-z -]*\):.*##  *\(.*\)/\1|\2/p' $(MAKEFILE_LIST) | while IFS='|' read -r names what; do \
+		printf '  %-26s %s\n' "$$names" "$$what"; done
 
 demo: $(VENV)/.installed  ## the whole story on the embedded street: four priors, their table, a field without and with one, a page
 	$(BIN)/priors street $(DEMO)/street --frames 30 --size 416x128
@@ -34,7 +40,7 @@ demo: $(VENV)/.installed  ## the whole story on the embedded street: four priors
 	@echo "open $(DEMO)/report.html in a browser"
 
 test: $(VENV)/.dev  ## the quick tests
-	$(BIN)/python -m pytest -m "not slow and not browser and not splats and not datasets and not stress"
+	$(BIN)/python -m pytest -m "not slow and not browser and not docs and not splats and not datasets and not stress"
 
 splats datasets stress: $(VENV)/.dev  ## tests of one part each
 	$(BIN)/python -m pytest -q -m "$@ and not slow"
@@ -68,11 +74,30 @@ mesh: $(MESH_VENV)/.installed  ## meshes and clouds by open3d, in an environment
 	.ci/open3d-libraries
 	ROADPRIOR_OPEN3D=required $(MESH_VENV)/bin/python -m pytest -q -p no:dash tests/test_open3d.py
 
-lint: $(VENV)/.dev
+fix: $(VENV)/.dev  ## what ruff can mend: order of imports, format
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+cov: $(VENV)/.dev  ## the quick tests' coverage, without what numba compiles: the least covered files come last
+	$(PIP) pytest-cov
+	$(BIN)/python -m pytest -q -m "not slow and not browser" --cov --cov-report=
+	$(BIN)/coverage report --skip-covered --sort=-cover
+
+$(SITE_VENV)/.installed: constraints.txt
+	$(PYTHON) -m venv $(SITE_VENV)
+	$(SITE_VENV)/bin/python $(INSTALL) zensical mkdocstrings-python ruff
+	touch $@
+
+site: $(SITE_VENV)/.installed $(VENV)/.dev  ## the documentation as a site, build/site, and the code of its pages run
+	$(SITE_VENV)/bin/python docs/_site.py
+	$(SITE_VENV)/bin/zensical build --strict
+	$(BIN)/python -m pytest -q -m docs
+
+lint: $(VENV)/.dev  ## ruff: rules and format
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-types: $(VENV)/.dev
+types: $(VENV)/.dev  ## mypy, strict
 	$(BIN)/mypy
 
 bench: $(VENV)/.dev  ## interleaved timings and errors against named peers; see docs/benchmarks.md
@@ -84,5 +109,5 @@ gpu-pack: $(VENV)/.dev  ## what a borrowed GPU needs, in one small folder; nothi
 gpu: gpu-pack  ## what a borrowed GPU is asked: docs/gpu.md; DEVICE=cpu BUDGET=150 rehearses it
 	$(BIN)/python tests/bench/gpu --device $(DEVICE) $(if $(BUDGET),--budget $(BUDGET)) $(if $(PARTS),--parts $(PARTS))
 
-clean:
-	rm -rf $(VENV) $(MESH_VENV) $(DEMO)
+clean:  ## remove the environments and the demo
+	rm -rf $(VENV) $(MESH_VENV) $(SITE_VENV) build $(DEMO)

@@ -19,6 +19,7 @@ from rich.progress import (
 )
 
 from cli.compiling import CompilingColumn, Watch
+from cli.logs import explain_error
 from cli.terminal import err as err
 from cli.terminal import out as out
 from cli.terminal import silence
@@ -42,6 +43,7 @@ def guarded(command: Callable[[], int]) -> int:
     try:
         return command()
     except DataError as error:
+        explain_error()
         err.complain(error)
         return USAGE_ERROR if isinstance(error, UsageError) else DATA_ERROR
     except KeyboardInterrupt:
@@ -51,9 +53,11 @@ def guarded(command: Callable[[], int]) -> int:
         silence(sys.stdout)
         return 0
     except OSError as error:
+        explain_error()
         err.complain(_told(error))
         return DATA_ERROR
     except MemoryError as error:
+        explain_error()
         err.complain(f"not enough memory ({error or 'no more is given'}): close programs, or ask for less at a time")
         return DATA_ERROR
     finally:

@@ -1,6 +1,7 @@
 """A program with commands: finds the command's file, imports it when it is named, tells the rest."""
 
 import os
+import platform
 import sys
 from collections.abc import Mapping
 from contextlib import nullcontext
@@ -9,6 +10,7 @@ from importlib import import_module
 from importlib.metadata import version
 from typing import Any
 
+from cli import logs
 from cli.console import USAGE_ERROR, busy, err, guarded, out
 from cli.mistakes import nearest
 from cli.owners import program_with
@@ -36,11 +38,15 @@ class Program:
 
     def run(self, arguments: list[str]) -> int:
         """Run with the arguments; returns the exit code."""
+        verbose = logs.VERBOSE in arguments or logs.DEBUG in arguments
+        arguments = logs.taken(arguments)
         if not arguments or arguments[0] in ("-h", "--help"):
             out.print(self._overview())
             return 0
         if arguments[0] == "--version":
             out.print(f"roadprior {version('roadprior')}")
+            if verbose:
+                out.print("\n".join(_machine()))
             return 0
         name, rest = arguments[0], arguments[1:]
         if name not in self.commands:
@@ -70,9 +76,25 @@ class Program:
             f"{self.name}: {self.purpose}",
             f"commands\n{rows}",
             f"examples\n{self.examples}",
-            f"{self.name} COMMAND --help tells the rest",
+            f"{self.name} COMMAND --help tells the rest\n"
+            "every command takes --verbose (what goes on inside) and --debug (the traceback behind an error)",
         )
         return "\n\n".join(parts)
+
+
+def _machine() -> list[str]:
+    """Describe what runs here, as a report of a fault needs it."""
+    import torch
+
+    from priors.machine import threads
+
+    packages = ", ".join(f"{name} {version(name)}" for name in ("torch", "numpy", "numba", "onnxruntime"))
+    gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else "none"
+    return [
+        f"Python {platform.python_version()} on {platform.platform()}",
+        packages,
+        f"CPU mode {cpu.mode()}, {threads.count()} threads; GPU {gpu}",
+    ]
 
 
 def _wrong_mode() -> str:

@@ -16,12 +16,14 @@ from typing import Any, Literal, NamedTuple, Self
 import numpy as np
 
 from eval.curves import ScoredPixels, curves, scored_pixels
-from eval.depth import DepthSums, FloatArray
+from eval.depth import DepthSums, FloatArray, Mask
 from eval.files import write_bytes
 from eval.protocol import Protocol, ScoreError
 from eval.stereo import DisparitySums
 
 FORMAT = 1
+GROUNDS = ("bg", "fg")
+"""Background and foreground of KITTI's stereo benchmark, and of its names for their outliers: d1_bg, d1_fg."""
 Pooling = Literal["image", "pixel"]
 
 
@@ -34,6 +36,10 @@ class Comparison(NamedTuple):
     confidence: FloatArray | None
     """Higher is more trusted; None where the method states none."""
     truth_m: FloatArray
+    fx_baseline: float | None = None
+    """Focal length times baseline of the frame, px m, where the frames' cameras differ; else see `score`."""
+    foreground: Mask | None = None
+    """Pixels of objects that move by themselves, where the truth tells them apart."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +55,8 @@ class Row:
     """The depth sums of each range of true distance; their pixels are the truth's."""
     ause: dict[str, float] = field(default_factory=dict)
     """Area under the sparsification error (see eval.curves) of ause_abs_rel and ause_rmse; empty: no confidence."""
+    grounds: dict[str, DisparitySums] = field(default_factory=dict)
+    """The disparity sums of the background (bg) and of the foreground (fg); empty where nobody tells them apart."""
 
     def metrics(self) -> dict[str, float]:
         """Return the frame's figures."""
@@ -181,6 +189,12 @@ def score_frame(
         raise ScoreError(f"frame {frame.frame}: {error}") from error
     true = ready.truth_m > 0  # a fifth of the image: the rest only counts for density_image
     p, t, own = ready.prediction_m[true], ready.truth_m[true], ready.own[true]
+    fx_baseline = fx_baseline if frame.fx_baseline is None else frame.fx_baseline
+    grounds: dict[str, DisparitySums] = {}
+    if fx_baseline is not None and frame.foreground is not None:
+        front = frame.foreground[ready.window][true]
+        sides = {"bg": ~front, "fg": front}
+        grounds = {name: DisparitySums.over_depths(p[side], t[side], fx_baseline) for name, side in sides.items()}
     parts = [(t >= low) & (t < high) for low, high in protocol.bins()]
     return Row(
         frame.frame,
@@ -188,6 +202,7 @@ def score_frame(
         None if fx_baseline is None else DisparitySums.over_depths(p, t, fx_baseline),
         tuple(DepthSums.over(p[part], t[part], own[part]) for part in parts),
         ause,
+        grounds,
     )
 
 
@@ -202,6 +217,10 @@ def figures(rows: Sequence[Row], pooling: Pooling) -> dict[str, float]:
     disparity = [row.disparity for row in rows if row.disparity is not None]
     if disparity:
         pooled |= reduce(add, disparity).finish()
+    for name in GROUNDS:
+        sides = [row.grounds[name] for row in rows if name in row.grounds]
+        if sides:
+            pooled[f"d1_{name}"] = reduce(add, sides).finish()["d1"]
     return pooled | _mean([row.ause for row in rows if row.ause])
 
 
@@ -235,6 +254,7 @@ def _read_row(entry: dict[str, Any]) -> Row:
         None if disparity is None else DisparitySums(**disparity),
         tuple(DepthSums(**part) for part in entry["ranges"]),
         {key: math.nan if value is None else value for key, value in entry["ause"].items()},
+        {name: DisparitySums(**sums) for name, sums in entry.get("grounds", {}).items()},
     )
 
 

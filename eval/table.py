@@ -32,6 +32,8 @@ COLUMNS = {
     "delta_3": Column("δ<1.25³", higher=True, digits=4),
     "epe": Column("EPE", "px"),
     "d1": Column("D1", "%", digits=2),
+    "d1_bg": Column("D1-bg", "%", digits=2),
+    "d1_fg": Column("D1-fg", "%", digits=2),
     "bad_1": Column("bad-1", "%", digits=2),
     "bad_2": Column("bad-2", "%", digits=2),
     "bad_3": Column("bad-3", "%", digits=2),
@@ -52,9 +54,11 @@ DEPTH_COLUMNS = (
 )
 PROTOCOL_COLUMNS = {
     "kitti-completion": ("density", "rmse", "mae", "irmse", "imae", "abs_rel", "silog", "density_image"),
-    "stereo2015": ("density", "epe", "d1", "bad_1", "bad_2", "bad_3", "density_image"),
+    "stereo2015": ("density", "epe", "d1", "d1_bg", "d1_fg", "bad_1", "bad_2", "bad_3", "density_image"),
 }
 """What the readers of a protocol expect to see; DEPTH_COLUMNS for all others."""
+IF_KNOWN = ("d1_bg", "d1_fg")
+"""Columns that stand only where a result has the figure: few truths tell foreground and background apart."""
 USUAL_BRIEF = ("abs_rel", "rmse", "delta_1", "density")
 BRIEF_COLUMNS = {"kitti-completion": ("rmse", "mae", "density"), "stereo2015": ("epe", "d1", "density")}
 """What they look at first, where there is no room for more; USUAL_BRIEF for all others."""
@@ -69,13 +73,20 @@ def table_of(results: Sequence[Result], keys: Sequence[str] | None = None) -> Ta
     if not results:
         raise ScoreError("no results to show: score a prior first")
     refuse_to_mix(results)
-    keys = keys or PROTOCOL_COLUMNS.get(results[0].protocol.name, DEPTH_COLUMNS)
+    keys = keys or usual_columns(results)
     unknown = [key for key in keys if key not in COLUMNS]
     if unknown:
         raise ScoreError(f"no metric {unknown[0]!r}: choose of {', '.join(COLUMNS)}")
     caption = f"{results[0].protocol.describe()}; {counts(results[0])}"
     rows = [((result.name,), result.metrics()) for result in results]
     return lay_out(("prior",), {key: COLUMNS[key] for key in keys}, rows, caption, notes(results))
+
+
+def usual_columns(results: Sequence[Result]) -> tuple[str, ...]:
+    """Return the columns of the results' protocol, without those of IF_KNOWN that no result has."""
+    known = {key for result in results for key in result.metrics()}
+    columns = PROTOCOL_COLUMNS.get(results[0].protocol.name, DEPTH_COLUMNS)
+    return tuple(key for key in columns if key in known or key not in IF_KNOWN)
 
 
 def counts(result: Result) -> str:
@@ -124,7 +135,7 @@ def brief_first(results: Sequence[Result]) -> tuple[str, ...]:
     """Return a protocol's columns with those first that its readers look at first: a narrow terminal drops the last."""
     name = results[0].protocol.name
     brief = BRIEF_COLUMNS.get(name, USUAL_BRIEF)
-    return brief + tuple(key for key in PROTOCOL_COLUMNS.get(name, DEPTH_COLUMNS) if key not in brief)
+    return brief + tuple(key for key in usual_columns(results) if key not in brief)
 
 
 def plain(results: Sequence[Result], keys: Sequence[str] | None = None) -> str:

@@ -1,5 +1,6 @@
 """Keeper: writes a fit's checkpoints, soon after it began and then at times; only good ones, only in its own folder."""
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from nerf.model import Model
 from nerf.origin import Offset
 from priors.errors import DataError
 
+LOG = logging.getLogger(__name__)
 FIRST_S = 4.0
 """From the end of the first step, which may compile kernels, to the first checkpoint: it is there within 5 s."""
 EVERY_S = 30.0
@@ -57,5 +59,6 @@ class Keeper:
         if bad is not None:
             raise NotFiniteError(f"{bad} is not finite after step {spent.step}")
         save(self.run, self.model, spent, self.origin_m)
+        LOG.info("%s: checkpoint of step %d after %.1f s", self.run, spent.step, spent.elapsed_s)
         self.kept = spent
         self.due_s = time.perf_counter() + EVERY_S

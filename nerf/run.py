@@ -90,7 +90,7 @@ class RunConfig:
 
     @property
     def title(self) -> str:
-        """What the run is, as its usual folder's name ends: <field>-<views>, and <loss>-<prior> where it has them."""
+        """What the run is, as its usual folder's name ends: `<field>-<views>`, then `<loss>-<prior>`."""
         loss = [self.fit.losses.loss] if fields.is_trained(self.fit.model.family) else []
         guide = [] if self.prior is None else [*loss, Path(self.prior).name]
         return "-".join([self.fit.model.family, in_name(self.views), *guide])
@@ -260,7 +260,7 @@ def begin(
         prior: its depth guides the fit: a cache's, or TRUTH (nerf.guide), the drive's own; None: colours alone.
         scene: which frames, and what the prior passes.
         fit: everything that decides the outcome.
-        folder: the run's folder; default: runs/<drive>-<field>-<views>-<loss>-<prior>.
+        folder: the run's folder; default: `runs/<drive>-<field>-<views>-<loss>-<prior>`.
         progress: shows what is prepared and rendered.
 
     Raises:

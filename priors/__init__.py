@@ -1,1 +1,36 @@
-"""Make, filter and cache metric depth priors for street drives."""
+"""Make, filter and cache metric depth priors for street drives.
+
+The names that a program of yours needs first are here: `from priors import open_drive, Stereo, build`. Each is imported
+when it is asked for, so that `import priors` stays quick and changes nothing of the process. Their types stand in
+`__init__.pyi`.
+"""
+
+from importlib import import_module
+from typing import Any
+
+_HOMES = {
+    "open_drive": "priors.drives",
+    "Camera": "priors.types",
+    "Depth": "priors.types",
+    "Drive": "priors.types",
+    "Frame": "priors.types",
+    "Method": "priors.types",
+    "Lidar": "priors.methods.lidar",
+    "Completion": "priors.methods.completion",
+    "Stereo": "priors.methods.stereo",
+    "Mono": "priors.methods.mono",
+    "Filters": "priors.filters",
+    "Prior": "priors.cache",
+    "DataError": "priors.errors",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a name from its file."""
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOMES[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *_HOMES})

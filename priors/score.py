@@ -21,7 +21,7 @@ from priors.errors import DataError
 from priors.machine import threads
 from priors.naming import labels
 from priors.selection import select
-from priors.types import Drive
+from priors.types import Drive, Frame
 
 PAPER = preset("paper")
 
@@ -46,8 +46,9 @@ class Pairs:
         places = {id_: index for index, id_ in enumerate(self.drive.ids)}
         for id_ in self.ids:
             try:
-                depth = self.prior.read(id_)
-                truth = self.drive[places[id_]].truth() if self.against is None else self.against.read(id_)
+                depth, frame = self.prior.read(id_), self.drive[places[id_]]
+                truth = frame.truth() if self.against is None else self.against.read(id_)
+                foreground = frame.foreground() if self.against is None and frame.has("foreground") else None
                 if depth.depth_m.shape != truth.depth_m.shape:
                     shapes = f"the map is {depth.depth_m.shape}, the truth {truth.depth_m.shape}"
                     raise DataError(
@@ -56,16 +57,15 @@ class Pairs:
             except DataError as error:
                 self.left_out[id_] = str(error)
                 continue
-            yield Comparison(id_, depth.depth_m, depth.confidence, truth.depth_m)
+            yield Comparison(id_, depth.depth_m, depth.confidence, truth.depth_m, fx_baseline_of(frame), foreground)
         if len(self.left_out) == len(self.ids):
             first = next(iter(self.left_out))
             raise DataError(f"{self.prior.folder}: no frame can be scored, the first {first}: {self.left_out[first]}")
 
     @property
     def fx_baseline(self) -> float | None:
-        """Return focal length times baseline, px m, for disparity metrics; None where the drive has no pair."""
-        frame = self.drive[0]
-        return None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
+        """Return focal length times baseline, px m, for disparity metrics; None without a pair, or if frames differ."""
+        return None if drives.is_by_frame(self.drive.describe()) else fx_baseline_of(self.drive[0])
 
 
 @dataclass(frozen=True)
@@ -144,8 +144,9 @@ def score_pairs(
         on_frame: told the id of each frame when it is scored.
     """
     prior = pairs.prior
-    if pairs.against is not None:
-        protocol = replace(protocol, truth=pairs.against.name)
+    truth = drives.truth_of(pairs.drive.describe()) if pairs.against is None else pairs.against.name
+    if truth is not None:
+        protocol = replace(protocol, truth=truth)
     info = {"prior": labels([prior])[0] if name is None else name, "drive": pairs.drive.name, "folder": prior.name}
     parts: list[ScoredPixels] = []
     kept = keep_pixels and (prior.folder / "confidence").is_dir()
@@ -172,6 +173,11 @@ def score(
     """Score a prior: `pair`, then `score_pairs`. The drive is, if not given, opened as the prior's manifest says."""
     drive = drives.reopen(prior.drive) if drive is None else drive
     return score_pairs(pair(prior, drive, frames, against), protocol, keep_pixels=keep_pixels)
+
+
+def fx_baseline_of(frame: Frame) -> float | None:
+    """Return a frame's focal length times baseline, px m; None where it has no pair."""
+    return None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
 
 
 def _telling(pairs: Pairs, on_frame: Callable[[str], None]) -> Iterator[Comparison]:

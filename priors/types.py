@@ -102,7 +102,7 @@ class Rig:
     """Calibrated over true baseline."""
 
 
-Input: TypeAlias = Literal["image", "other", "sweep", "truth", "sparse", "sky"]
+Input: TypeAlias = Literal["image", "other", "sweep", "truth", "sparse", "sky", "foreground"]
 """What a frame may have, and a method or a filter may need."""
 
 
@@ -176,6 +176,10 @@ class Frame:
     def sky(self) -> Mask:
         """Read the true sky mask, where the data set knows it."""
         return self.read("sky")
+
+    def foreground(self) -> Mask:
+        """Read which pixels are objects that move by themselves, where the data set scores them apart."""
+        return self.read("foreground")
 
 
 class Drive(Protocol):

@@ -120,6 +120,7 @@ def test_files_that_are_named_exist() -> None:
     assert not lost, "\n".join(lost)
 
 
+@pytest.mark.docs
 def test_the_readme_runs(tmp_path: Path) -> None:
     """Run the README's commands on the street in order, smaller."""
     lines = [
@@ -141,6 +142,13 @@ def test_links_lead_somewhere() -> None:
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text()):
             assert (page.parent / target).exists(), f"{page.name}: {target}"
+
+
+def test_the_site_has_every_page() -> None:
+    """zensical.toml: beside docs/ it shows the README, the changelog, how to contribute, and the networks' cards."""
+    listed = re.findall(r'= "([\w/-]+\.md)"', (ROOT / "zensical.toml").read_text())
+    pages = {str(page.relative_to(ROOT / "docs")) for page in PAGES if (ROOT / "docs") in page.parents}
+    assert sorted(listed) == sorted(pages | {"index.md", "changelog.md", "contributing.md", "weights.md"})
 
 
 def test_the_makefile_has_the_readme_s_targets() -> None:

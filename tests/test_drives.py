@@ -12,7 +12,7 @@ from priors.errors import DataError
 
 
 def test_names_are_the_files() -> None:
-    assert drives.names() == ["argoverse1", "folder", "kitti_odometry", "kitti_raw"]
+    assert drives.names() == ["argoverse1", "folder", "images", "kitti_odometry", "kitti_raw", "kitti_stereo"]
 
 
 @pytest.mark.parametrize(
@@ -45,8 +45,8 @@ def test_missing_folder_and_file_are_named(tmp_path: Path) -> None:
 
 
 def test_unknown_data_set_lists_the_known(tmp_path: Path) -> None:
-    with pytest.raises(DataError, match=r"unknown data set 'nuscenes': choose one of auto, argoverse1, folder"):
-        open_drive(tmp_path, "nuscenes")
+    with pytest.raises(DataError, match=r"unknown data set 'waymo': choose one of auto, argoverse1"):
+        open_drive(tmp_path, "waymo")
 
 
 def test_unrecognised_folder_says_what_it_holds(tmp_path: Path) -> None:
@@ -54,8 +54,8 @@ def test_unrecognised_folder_says_what_it_holds(tmp_path: Path) -> None:
         open_drive(tmp_path)
     (tmp_path / "rgb").mkdir()
     for n in range(3):
-        (tmp_path / f"{n}.png").touch()
-    with pytest.raises(DataError, match=r"found folders rgb; 3 \.png files: see docs/datasets\.md"):
+        (tmp_path / f"{n}.bag").touch()
+    with pytest.raises(DataError, match=r"found folders rgb; 3 \.bag files: see docs/datasets\.md"):
         open_drive(tmp_path)
 
 

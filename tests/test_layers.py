@@ -50,6 +50,8 @@ ROOMS = [
     "priors/street",
     "priors/learn",
     "nerf/types",
+    "nerf/gaussians/types",
+    "nerf/harmonics",
     "nerf/twin",
     "nerf/kernels",
     "nerf",

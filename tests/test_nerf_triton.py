@@ -117,6 +117,7 @@ def test_gpus_get_the_kernels_that_they_can_run(
     kernels._runs_triton.cache_clear()
     kind = "triton" if runs else "plain"
     expected = [f"nerf.kernels.{kind}.field", f"nerf.kernels.{kind}.render", "nerf.kernels.plain.sample"]
+    expected += ["nerf.kernels.plain.splat"]
     assert [part.__name__ for part in found] == expected  # type: ignore[attr-defined]
     assert kernels.kernels_for(torch.device("meta")) == kernels.plain_kernels()
 

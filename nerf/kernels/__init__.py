@@ -1,4 +1,6 @@
-"""Kernels: the fast functions of field, renderer and sampler. A folder a kind of device; `kernels_for` is the one door.
+"""Kernels: the fast functions of field, renderer, sampler and splatting.
+
+A folder a kind of device; `kernels_for` is the one door.
 
     cpu     compiled for one thread each by numba, run by a pool of threads
     triton  compiled for a GPU; samples are drawn by `plain`, for Triton has no sampler of ours
@@ -14,6 +16,18 @@ from typing import NamedTuple, Protocol
 import torch
 from torch import Tensor
 
+from nerf.gaussians.types import (
+    ColourLoss,
+    Contributions,
+    Drawing,
+    Gaussians,
+    Rasterised,
+    Rates,
+    SplatGradients,
+    SplatMoments,
+    ViewGradients,
+    Viewpoint,
+)
 from nerf.types import Course, Extent, Gradients, GridConfig, Histogram, Layers, Rendered, Samples, Target
 
 
@@ -128,12 +142,41 @@ class SampleKernels(Protocol):
         """Decide which cells of an occupancy grid are kept: nerf.twin.occupancy.prune."""
 
 
+class SplatKernels(Protocol):
+    """Gaussian splatting (Kerbl et al., SIGGRAPH 2023): n Gaussians, v of them in view of h x w pixels."""
+
+    def rasterise(
+        self, gaussians: Gaussians, viewpoint: Viewpoint, drawing: Drawing, background: Tensor | None = None
+    ) -> Rasterised:
+        """Draw Gaussians near to far; background: (h, w, 3) or (3,) colours behind them, None: black."""
+
+    def contributions(self, rasterised: Rasterised, pixels: Tensor) -> Contributions:
+        """Return what pixels (r,) int64, row * width + column, are made of."""
+
+    def backward(self, rasterised: Rasterised, gradients: ViewGradients) -> SplatGradients:
+        """Return a loss's derivatives by the Gaussians in view; the background's is d_rgb (1 - opacity)."""
+
+    def adam(
+        self, gaussians: Gaussians, gradients: SplatGradients, moments: SplatMoments, rates: Rates, step: int
+    ) -> None:
+        """Do the step-th (from 1) step of Adam for the Gaussians in view, in place; rotations come out of length 1."""
+
+    def colour_loss(self, rgb: Tensor, truth: Tensor, share: float, weight: Tensor | None = None) -> ColourLoss:
+        """Return (1 - share) L1 + share (1 - SSIM) of pictures (h, w, 3) in [0, 1], and its derivative by rgb.
+
+        SSIM has a Gaussian window of 11 x 11 pixels, deviation 1.5, and is averaged over the windows that lie inside:
+        scikit-image's `structural_similarity` with gaussian_weights. weight: (h, w) of each pixel in the means of both,
+        in SSIM's that of the window's middle; None: 1. ValueError for less than 11 x 11 pixels where share > 0.
+        """
+
+
 class Kernels(NamedTuple):
     """All functions for one kind of device."""
 
     field: FieldKernels
     render: RenderKernels
     sample: SampleKernels
+    splat: SplatKernels
 
 
 def kernels_for(device: torch.device) -> Kernels:
@@ -147,25 +190,26 @@ def kernels_for(device: torch.device) -> Kernels:
 def cpu_kernels() -> Kernels:
     """Return what numba compiled for this CPU."""
     from nerf.kernels.cpu import field, render, sample
+    from nerf.kernels.plain import splat
 
-    return Kernels(field, render, sample)
+    return Kernels(field, render, sample, splat)
 
 
 @functools.cache
 def triton_kernels() -> Kernels:
     """Return what Triton compiles for a GPU; the sampler is the plain one."""
-    from nerf.kernels.plain import sample
+    from nerf.kernels.plain import sample, splat
     from nerf.kernels.triton import field, render
 
-    return Kernels(field, render, sample)
+    return Kernels(field, render, sample, splat)
 
 
 @functools.cache
 def plain_kernels() -> Kernels:
     """Return plain PyTorch."""
-    from nerf.kernels.plain import field, render, sample
+    from nerf.kernels.plain import field, render, sample, splat
 
-    return Kernels(field, render, sample)
+    return Kernels(field, render, sample, splat)
 
 
 @functools.cache

@@ -4,6 +4,7 @@ A frame is claimed while it is computed (priors/owner). One that another build h
 again at the end: what the other one has not finished, because it was killed or failed, is computed here.
 """
 
+import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
@@ -19,6 +20,7 @@ from priors.errors import DataError
 from priors.owner import claim
 from priors.types import Depth, Drive, Frame
 
+LOG = logging.getLogger(__name__)
 CLAIMS = "claims"
 POLL_S = 0.3
 """How often to look whether another build has finished a frame."""
@@ -77,16 +79,19 @@ class Work:
                 self._compute(frame)
         except DataError as error:
             self.failed[frame_id] = str(error)
+            LOG.debug("frame %s failed", frame_id, exc_info=True)
         self.on_frame(frame_id)
 
     def _compute(self, frame: Frame) -> None:
         if self.judge(frame).skip == CACHED:
             self.left.append(frame.id)
+            LOG.info("frame %s: another build has made it", frame.id)
             return
         watched = watch(frame)
         start = time.perf_counter()
         depth = self.make_depth(watched.frame)
         seconds = time.perf_counter() - start
+        LOG.info("frame %s: %.3f s", frame.id, seconds)
         sources = watched.sources(self.judge.freshness.digests) | self.learned
         self.built.append(self.prior.write(frame.id, depth, seconds, sources))
 

@@ -47,7 +47,7 @@ class Prior:
 
     @property
     def name(self) -> str:
-        """Folder name, <method>-<key>."""
+        """Folder name, `<method>-<key>`."""
         return self.folder.name
 
     @property
@@ -206,7 +206,9 @@ class Prior:
             raise DamagedError(f"{error}: {MEND}") from error
 
     def _size(self) -> tuple[int, ...] | None:
-        """Return (height, width) of the maps, where the manifest says it."""
+        """Return (height, width) of the maps, where the manifest says it and all have one size."""
+        if self.drive.get("cameras") is not None:
+            return None  # each frame's own (priors/drives/_camera_drive.py: BY_FRAME)
         size = self.manifest.get("camera", {}).get("size")
         whole = isinstance(size, list) and all(isinstance(length, int) for length in size)
         return tuple(size) if whole else None

@@ -45,7 +45,7 @@ def check(drive: Drive, samples: int = SAMPLES, progress: ProgressBar = silent) 
     if not frames:
         return findings
     sampled = look(frames, samples, progress)
-    findings += judge_calibration(frames[0])
+    findings += judge_calibration(drive, frames[0])
     findings += judge_files(sampled)
     trusted = yield_into(findings, judge_stereo(sampled))
     for sample in sampled:

@@ -1,18 +1,34 @@
 """Calibration: is this a camera, and a pair, that a car would carry?"""
 
 from collections.abc import Iterator
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from priors.check.finding import Finding
-from priors.types import Frame
+from priors.types import Drive, Frame
 
 BASELINE_M = (0.05, 3.0)
 """Of a car's pair, at least and at most."""
 
 
-def judge_calibration(frame: Frame) -> Iterator[Finding]:
-    """Judge focal length, principal point and baseline."""
+@runtime_checkable
+class Remarking(Protocol):
+    """A drive that says what its reader did to the images, or decided about the camera."""
+
+    def notes(self) -> list[str]:
+        """Return a line each."""
+        ...
+
+
+def judge_calibration(drive: Drive, frame: Frame) -> Iterator[Finding]:
+    """Judge focal length, principal point and baseline of a frame, and repeat what the reader says."""
+    yield from _judge_camera(frame)
+    for note in drive.notes() if isinstance(drive, Remarking) else []:
+        yield Finding("note", "calibration", note)
+
+
+def _judge_camera(frame: Frame) -> Iterator[Finding]:
     (height, width), K = frame.camera.size, frame.camera.K
     angle = float(np.degrees(2 * np.arctan(0.5 * width / K[0, 0])))
     shown = f"{width}x{height}, focal length {K[0, 0]:.1f} px ({angle:.0f} degrees)"

@@ -7,7 +7,7 @@ from priors.check.finding import Finding
 from priors.check.sample import Sample
 from priors.types import Input
 
-WHAT: tuple[Input, ...] = tuple(what for what in get_args(Input) if what != "sky")
+WHAT: tuple[Input, ...] = tuple(what for what in get_args(Input) if what not in ("sky", "foreground"))
 
 
 def judge_files(sampled: Sequence[Sample]) -> Iterator[Finding]:

@@ -4,9 +4,11 @@ A data set's file has two functions: `recognises(path)` and `open_drive(path, op
 `--dataset` choice; listing the choices imports none of them. Your own files: priors/extensions.py.
 
 Where drives lie in folders of their own below the data set's (priors/places.py looks for them), the file also has
-`is_drive(folder)`, and `BELOW`, the most levels between the two.
+`is_drive(folder)`, and `BELOW`, the most levels between the two. One that has `LAST` is asked only where no other data
+set knows a folder; one that has `TAKES_FX` reads --fx.
 """
 
+import logging
 import os
 from collections import Counter
 from collections.abc import Collection
@@ -18,6 +20,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from priors import extensions, refined_poses
+from priors.drives._camera_drive import BY_FRAME as BY_FRAME
 from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.drives._files import first_size as first_size
 from priors.drives._files import stems as stems
@@ -28,6 +31,7 @@ from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.types import Drive
 
 __path__.extend(extensions.folders("drives"))
+LOG = logging.getLogger(__name__)
 CACHE = Path("cache")
 """Where commands keep results unless they are told."""
 LISTED = 1000  # entries of an unknown folder that its error message looks at
@@ -42,9 +46,11 @@ class DriveOptions:
     camera: str | None = None
     """Camera to make depth for, by the data set's own name (image_02, ring_front_center, ...); default: the first
     with a partner for stereo."""
+    fx: float | None = None
+    """Focal length of plain images, pixels; default: what their EXIF says. Other data sets have a calibration."""
     truth: Path | None = None
-    """Folder with KITTI depth maps: holds train/<drive>/proj_depth or <drive>/proj_depth. For Argoverse 1: the folder
-    that holds disparity_maps_v1.1."""
+    """Folder with KITTI depth maps: holds train/DRIVE/proj_depth or DRIVE/proj_depth. For Argoverse 1: the folder
+    that holds disparity_maps_v1.1. For KITTI stereo: disp_noc_0, say."""
     poses: Literal["auto", "recorded", "dead-reckoned", "refined"] = "auto"
     """Where poses come from: the positions as recorded; dead-reckoned from recorded velocities and tied to the
     positions over seconds; or refined by what images see (`priors poses`). auto: dead-reckoned where a drive records
@@ -57,6 +63,7 @@ class DriveOptions:
         beside = self.poses == "refined" or self.poses_from == CACHE
         expect(beside, "--poses-from", self.poses_from, "--poses refined beside it")
         expect(self.drive != "", "--drive", "''", "a name, or leave it out")
+        expect(self.fx is None or 0 < self.fx < float("inf"), "--fx", self.fx, "pixels, more than 0")
         expect(self.camera != "", "--camera", "''", "a name, or leave it out")
 
 
@@ -77,8 +84,11 @@ def open_drive(path: Path, dataset: str = "auto", options: DriveOptions | None =
     if not path.is_dir():
         raise DataError(f"{path}: " + ("is a file: name the drive's folder" if path.exists() else "no such folder"))
     name = _recognise(path) if dataset == "auto" else dataset
-    options = options or DriveOptions()
-    drive: Drive = reader(name).open_drive(path, options)
+    options, chosen = options or DriveOptions(), reader(name)
+    if options.fx is not None and not getattr(chosen, "TAKES_FX", False):
+        raise UsageError(f"--fx {options.fx:g}: {name} has its own calibration: leave it out")
+    drive: Drive = chosen.open_drive(path, options)
+    LOG.info("%s: %s, %d frames, read as %s", path, drive.name, len(drive.ids), name)
     if options.poses == "dead-reckoned" and poses_of(drive.describe()) != options.poses:
         raise UsageError(f"--poses dead-reckoned: {drive.name} has no velocities that fit its positions: leave it out")
     return _refined(drive, options) if options.poses == "refined" else drive
@@ -92,6 +102,17 @@ def _refined(drive: Drive, options: DriveOptions) -> RefinedDrive:
 def poses_of(description: dict[str, Any]) -> str:
     """Return which poses a drive has, by its description: as they are recorded, unless it says more."""
     return str(description.get("poses", "recorded"))
+
+
+def truth_of(description: dict[str, Any]) -> str | None:
+    """Return which truth a drive has, by its description, where the data set has several; None: it has one kind."""
+    named = description.get("truth_maps")
+    return None if named is None else str(named)
+
+
+def is_by_frame(description: dict[str, Any]) -> bool:
+    """Tell whether a drive's frames have cameras of their own, by its description: then one says nothing of others."""
+    return description.get("cameras") == BY_FRAME
 
 
 def poses_remark(drive: Drive, held_out: Collection[str]) -> tuple[str, ...]:
@@ -121,7 +142,7 @@ def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
         raise DataError(f"{path}: no such folder: has the drive moved? Name it: --data FOLDER")
     if moved_to is not None and truth is not None and not truth.is_dir():
         truth = None  # it moved too, or lies beside the drive as usual
-    options = DriveOptions(camera=description.get("camera"), truth=truth)
+    options = DriveOptions(camera=description.get("camera"), truth=truth, fx=description.get("fx"))
     if poses_of(description) != "refined":
         poses: Literal["recorded", "auto"] = "recorded" if poses_of(description) == "recorded" else "auto"
         return open_drive(path, dataset, replace(options, poses=poses))
@@ -145,8 +166,11 @@ def reader(name: str) -> ModuleType:
 
 
 def fitting_data_sets(path: Path) -> list[str]:
-    """List the data sets that know the folder's layout."""
-    return [name for name in names() if reader(name).recognises(path)]
+    """List the data sets that know the folder's layout; those with LAST only where no other does."""
+    readers = {name: reader(name) for name in names()}
+    last = {name: getattr(module, "LAST", False) for name, module in readers.items()}
+    fitting = [name for name, module in readers.items() if not last[name] and module.recognises(path)]
+    return fitting or [name for name, module in readers.items() if last[name] and module.recognises(path)]
 
 
 def _recognise(path: Path) -> str:

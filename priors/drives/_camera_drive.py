@@ -10,8 +10,10 @@ from priors import codecs
 from priors.drives._files import check_baseline, check_size, digest, read_sized
 from priors.drives._links import plain
 from priors.errors import DataError, UsageError
-from priors.types import Camera, Depth, Frame, Matrix, Rig
+from priors.types import Camera, Depth, Frame, Image, Matrix, Rig
 
+BY_FRAME = "by frame"
+"""What the description of a drive whose frames have cameras of their own says under `cameras`."""
 Readers = dict[str, Callable[..., Any]]
 Files = dict[str, Callable[..., Path | None]]
 
@@ -35,9 +37,9 @@ class CameraDrive(ABC):
     maps: Mapping[str, Mapping[str, Path]]
     """truth and sparse -> frame id -> depth map, metres; see codecs.read_float_map."""
     camera: Camera
-    """Of the images as the frames show them."""
+    """Of the images as the frames show them; of the first image where they differ: see `camera_of`."""
     baseline_m: float | None
-    """Distance to the pair's other camera, metres, > 0."""
+    """Distance to the pair's other camera, metres, > 0; of the first pair where they differ: see `baseline_of`."""
     rig: Rig | None
     """The car, where the error of its rectification is known."""
 
@@ -81,6 +83,18 @@ class CameraDrive(ABC):
         """List the frame ids that each kind of file has, for the audit; a kind without files is not missed."""
         return {"other": list(self.others), **{what: list(paths) for what, paths in self.maps.items()}}
 
+    def notes(self) -> list[str]:
+        """Say what was done to the images or decided about the camera, for the audit, a line each."""
+        return []
+
+    def camera_of(self, id_: str) -> Camera:
+        """Return a frame's camera; a drive whose frames differ overrides it, and has BY_FRAME in its description."""
+        return self.camera
+
+    def baseline_of(self, id_: str) -> float | None:
+        """Return the baseline of a frame's pair, metres."""
+        return self.baseline_m
+
     def __len__(self) -> int:
         return len(self.ids)
 
@@ -99,13 +113,13 @@ class CameraDrive(ABC):
             readers.pop("sweep", None)
         return Frame(
             id=id_,
-            camera=self.camera,
+            camera=self.camera_of(id_),
             readers=readers,
             missing=missing,
             T_world_cam=T_world_cam,
             T_cam_lidar=T_cam_lidar,
             time_s=self.time_s(id_),
-            baseline_m=self.baseline_m,
+            baseline_m=self.baseline_of(id_),
             side=self.side,
             rig=self.rig,
             files=self.files(id_),
@@ -117,12 +131,12 @@ class CameraDrive(ABC):
 
     def readers(self, id_: str) -> Readers:
         """Return what can be read of a frame (see Frame.readers), each by a function that reads files when called."""
-        readers: Readers = {"image": partial(read_sized, self.images[id_], self.camera)}
+        readers: Readers = {"image": partial(self.read_image, self.images[id_], id_)}
         if id_ in self.others:
-            readers["other"] = partial(read_sized, self.others[id_], self.camera)
+            readers["other"] = partial(self.read_image, self.others[id_], id_)
         for what, paths in self.maps.items():
             if id_ in paths:
-                readers[what] = partial(self.read_map, paths[id_])
+                readers[what] = partial(self.read_map, paths[id_], id_)
         return readers
 
     def files(self, id_: str) -> Files:
@@ -146,9 +160,13 @@ class CameraDrive(ABC):
         """Return seconds since the drive's first frame; None where they are not known."""
         return None
 
-    def read_map(self, path: Path) -> Depth:
-        """Read a depth map that must have the camera's size."""
-        return Depth(check_size(codecs.read_float_map(path), path, self.camera))
+    def read_image(self, path: Path, id_: str) -> Image:
+        """Read an image of a frame, which must have its camera's size."""
+        return read_sized(path, self.camera_of(id_))
+
+    def read_map(self, path: Path, id_: str) -> Depth:
+        """Read a depth map of a frame, which must have its camera's size."""
+        return Depth(check_size(codecs.read_float_map(path), path, self.camera_of(id_)))
 
     def paired_camera(self) -> str:
         """Return the pair's other camera, for data sets whose cameras all have one; else UsageError names them."""

@@ -188,3 +188,15 @@ def digest(files: Iterable[Path]) -> str:
 def revise(fingerprint: str, *reasons: str) -> str:
     """Return another fingerprint, of the same files from which something else was made, for these reasons."""
     return hashlib.sha256("/".join([fingerprint, *reasons]).encode()).hexdigest()
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Return (height, width) of an image by its header: a thousand of them take a second, not a minute."""
+    from PIL import Image as Pillow
+
+    try:
+        with Pillow.open(path) as image:
+            width, height = image.size
+    except OSError as error:
+        raise DataError(f"{path}: damaged image ({error.strerror or 'not an image'}): download it again") from error
+    return height, width

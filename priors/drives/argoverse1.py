@@ -123,7 +123,7 @@ class Argoverse1(CameraDrive):
         if self._sweeps and self._rectified.T_ego_cam is not None:
             readers["sweep"] = lambda offset=0: self._read_sweep(time, offset)
         if time in self._disparities:
-            readers["truth"] = partial(self.read_map, self._disparities[time])
+            readers["truth"] = partial(self.read_map, self._disparities[time], id_)
         return readers
 
     def files(self, id_: str) -> Files:
@@ -137,7 +137,7 @@ class Argoverse1(CameraDrive):
             "truth": partial(self._disparities.get, time),
         }
 
-    def read_map(self, path: Path) -> Depth:
+    def read_map(self, path: Path, id_: str) -> Depth:
         """Read a disparity map as depth."""
         disparity_px = check_size(codecs.read_depth_png(path), path, self.camera)
         if self.baseline_m is None:

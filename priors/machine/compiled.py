@@ -83,7 +83,7 @@ def _digest() -> str:
     """Hash the source of all kernels, and of what they are made of."""
     root = Path(__file__).resolve().parents[1]
     fields = root.parent / "nerf"
-    ours = [*root.glob("kernels/*.py"), *fields.glob("kernels/**/*.py"), fields / "types.py", Path(__file__)]
+    ours = [*root.glob("kernels/*.py"), *fields.glob("kernels/**/*.py"), *fields.glob("**/types.py"), Path(__file__)]
     files = [file for file in ours if file.exists()]
     sums = hashlib.sha256(f"{sys.version} ".encode())
     for file in sorted(files):

@@ -4,6 +4,7 @@ Weights are cast once, memory is channels-last, convolutions are fused with what
 with the CPU (speeds.py, docs/benchmarks.md). Nothing is measured at run time.
 """
 
+import logging
 import threading
 from dataclasses import dataclass
 from importlib import import_module
@@ -26,6 +27,8 @@ from priors.types import Image
 Runtime = Literal["bf16", "fp32", "int8", "cuda", "onnx"]
 Floating = Literal["bf16", "fp32", "cuda", "onnx"]
 Asked = Literal["auto", "bf16", "fp32", "int8", "cuda", "onnx"]
+
+LOG = logging.getLogger(__name__)
 
 _LOADING, _FORWARD = threading.Lock(), threading.Lock()
 _loaded: dict[tuple[Any, ...], "Ready"] = {}
@@ -124,6 +127,7 @@ def open_net(name: str, size: str, runtime: Runtime, file: Path | None = None) -
             if runtime == "int8":
                 int8.mark(fold(net.eval()), path)
             _loaded[key] = make_ready(net, runtime, trained.about)
+            LOG.info("network %s-%s of %s runs as %s", name, size, path, runtime)
         return _loaded[key]
 
 

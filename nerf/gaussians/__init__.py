@@ -1,0 +1,1 @@
+"""Gaussians: scenes of many small coloured ellipsoids (Kerbl et al., SIGGRAPH 2023)."""

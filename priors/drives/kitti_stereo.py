@@ -1,0 +1,236 @@
+"""KITTI stereo 2012 and 2015, as downloaded: pairs that have nothing to do with each other, each with its truth.
+
+    2015  training/{image_2,image_3}/000000_10.png, disp_occ_0/, disp_noc_0/, obj_map/
+          training/calib_cam_to_cam/000000.txt      also in data_scene_flow_calib/ beside
+    2012  training/{image_0,image_1,colored_0,colored_1}/000000_10.png, disp_occ/, disp_noc/
+          training/calib/000000.txt
+    both  testing/, without truth
+
+Quirks kept here (devkits' readmes of both years; Menze and Geiger, CVPR 2015):
+- A "drive" is a split. Its frames are of many drives and days: there are no poses, no times and no motion between them.
+- Only images of frame number 10 are the benchmark's. 11 and the others of the multi-view download belong to the optical
+  flow; disp_occ_1 is the second pair's disparity as the first image sees it, and no image's depth: it is not read.
+- Each frame has a calibration and an image size of its own. Instead, one calib_cam_to_cam.txt in the split's folder, or
+  above it, may serve all frames.
+- Truth is disparity: uint16, px x 256, 0 = none, of the left camera. occ has all pixels and noc those that the right
+  image shows too. 2012's truth is that of the grey cameras: for the colour ones --truth must name it.
+- obj_map (2015): 0 = background, else the number of a car. The benchmark scores the two apart.
+"""
+
+import re
+from functools import cached_property, lru_cache
+from itertools import islice
+from os import scandir
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from priors import codecs
+from priors.drives import BY_FRAME, CameraDrive, DriveOptions
+from priors.drives._camera_drive import Files, Readers
+from priors.drives._files import (
+    IMAGE_SUFFIXES,
+    check_size,
+    choose,
+    image_size,
+    need,
+    read_key_values,
+    search,
+    split_projection,
+    stems,
+)
+from priors.drives._rigs import KITTI
+from priors.errors import DataError
+from priors.geometry import convert_disparity
+from priors.types import Camera, Depth, Mask, Matrix
+
+BELOW = 2
+"""How many levels below the data set's own folder its splits are: data_scene_flow/, then a split."""
+PAIRS = (("image_2", "image_3"), ("image_0", "image_1"), ("colored_0", "colored_1"))
+NUMBERS = {name: 2 * (pair != PAIRS[1]) + side for pair in PAIRS for side, name in enumerate(pair)}
+"""Camera -> its number in the calibration."""
+TRUTHS = {"image_2": ("disp_occ_0", "disp_noc_0"), "image_0": ("disp_occ", "disp_noc")}
+"""Folders of truth, the first is scored unless --truth names another."""
+REFERENCE = re.compile(r"\d{6}_10\.(png|jpe?g)", re.IGNORECASE)
+LOOKED_AT = 200
+"""Files of a folder that are looked at to recognise it."""
+CALIBRATION = "download data_scene_flow_calib.zip (2015), or the calib folder of data_stereo_flow.zip (2012)"
+
+
+def recognises(path: Path) -> bool:
+    """Tell whether the folder is a split, or holds splits."""
+    return bool(search(path, is_drive, BELOW))
+
+
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a split: one of its cameras has images of frame number 10."""
+    return any(_has_reference(folder / name) for name in NUMBERS)
+
+
+def open_drive(path: Path, options: DriveOptions) -> "KittiStereo":
+    """Open one split; path is its folder, or the data set's with options.drive."""
+    folder = choose(search(path, is_drive, BELOW), options.drive, path, "a split (training/image_2/000000_10.png)")
+    found = [left for left, _ in PAIRS if _has_reference(folder / left)]
+    return KittiStereo(folder, options.camera or next(iter(found), "image_2"), options.truth)
+
+
+def _has_reference(folder: Path) -> bool:
+    try:
+        with scandir(folder) as entries:
+            return any(REFERENCE.fullmatch(entry.name) for entry in islice(entries, LOOKED_AT))
+    except OSError:
+        return False
+
+
+class KittiStereo(CameraDrive):
+    """One camera's view of the pairs of a split."""
+
+    pairs = PAIRS
+
+    def __init__(self, folder: Path, camera: str, truth: Path | None = None) -> None:
+        super().__init__(folder, camera, truth)
+        partner = self.paired_camera()
+        self.images = _references(self.folder / camera)
+        if not self.images:
+            raise DataError(f"{self.folder / camera}: no images NNNNNN_10.png: choose another --camera, or download it")
+        self.others = {id_: path for id_, path in _references(self.folder / partner).items() if id_ in self.images}
+        self._calibration = lru_cache(maxsize=None)(_read_calibration)
+        self._truth_folder = self._find_truth()
+        self.maps = {} if self._truth_folder is None else {"truth": stems(self._truth_folder, [".png"])}
+        self._objects = stems(self.folder / "obj_map", [".png"]) if camera == "image_2" else {}
+        self.camera = self.camera_of(self.ids[0])
+        self.baseline_m = self.baseline_of(self.ids[0])
+        self.rig = KITTI
+
+    @property
+    def name(self) -> str:
+        """The data set with its year, and the split; cameras other than the year's usual one are named too."""
+        year = "2015" if self.camera_name in PAIRS[0] else "2012"
+        usual = self.camera_name in TRUTHS
+        return f"kitti_stereo{year}_{self.folder.name}" + ("" if usual else f"-{self.camera_name}")
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest records: cameras differ by frame, and there is more than one truth."""
+        named = {} if self._truth_folder is None else {"truth_maps": self._truth_folder.name}
+        return {**super().describe(), "cameras": BY_FRAME, **named}
+
+    def sources(self) -> list[Path]:
+        """List the calibration files of all frames."""
+        return list(dict.fromkeys(self._calibration_file(id_) for id_ in self.ids))
+
+    def readers(self, id_: str) -> Readers:
+        """Return what can be read of a frame: also which pixels are cars."""
+        readers = super().readers(id_)
+        if id_ in self._objects:
+            readers["foreground"] = lambda: self._read_objects(id_)
+        return readers
+
+    def files(self, id_: str) -> Files:
+        """Return which file each reader reads: also the cars'."""
+        return super().files(id_) | {"foreground": lambda: self._objects.get(id_)}
+
+    def missing(self, id_: str) -> dict[str, str]:
+        """Say why a reader is not there, and what to do."""
+        left = next(left for left, right in PAIRS if self.camera_name in (left, right))
+        truth = f"{self.folder}: no {' or '.join(TRUTHS.get(left, ('disp_occ',)))}: test images have no public truth"
+        if self._truth_folder is not None:
+            truth = f"{self._truth_folder}: no map {id_}.png"
+        elif self.side == "right":
+            truth = f"truth is of the left camera: leave out --camera, or choose {left}"
+        elif left not in TRUTHS:
+            truth = f"truth of 2012 is of the grey camera: name it, --truth {self.folder / 'disp_occ'}, to take it here"
+        return {
+            "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras",
+            "sweep": "KITTI's stereo benchmark has no sweeps: use stereo, or mono",
+            "truth": truth,
+            "sparse": "KITTI's stereo benchmark has no sparse depth maps",
+            "sky": "KITTI has no sky masks",
+            "foreground": f"{self.folder / 'obj_map'}: no map {id_}.png",
+        }
+
+    def camera_of(self, id_: str) -> Camera:
+        """Return the frame's own camera."""
+        K, _ = self._projection(id_, self.camera_name)
+        size = self._calibration(self._calibration_file(id_)).get(f"S_rect_0{NUMBERS[self.camera_name]}")
+        if size is not None and size.size == 2:
+            return Camera(K, (int(size[1]), int(size[0])))
+        return Camera(K, self._size_of(self.images[id_]))
+
+    def baseline_of(self, id_: str) -> float | None:
+        """Return the baseline of the frame's own pair."""
+        if id_ not in self.others or self.partner is None:
+            return None
+        places = [self._projection(id_, name)[1][0, 3] for name in (self.camera_name, self.partner)]
+        return self.baseline(float(places[0] - places[1]), self._calibration_file(id_))
+
+    def read_map(self, path: Path, id_: str) -> Depth:
+        """Read a disparity map as depth."""
+        camera, baseline_m = self.camera_of(id_), self.baseline_of(id_)
+        disparity_px = check_size(codecs.read_depth_png(path), path, camera)
+        if baseline_m is None:
+            raise DataError(f"{path}: disparity without the other image {self.partner}/{id_}: download it")
+        return Depth(convert_disparity(disparity_px, camera.fx, baseline_m))
+
+    @cached_property
+    def _size_of(self) -> Any:
+        return lru_cache(maxsize=None)(image_size)
+
+    def _read_objects(self, id_: str) -> Mask:
+        path = self._objects[id_]
+        objects = codecs.read_image(path)
+        if objects.ndim != 2:
+            raise DataError(f"{path}: expected a one-channel map of object numbers: download it again")
+        return np.asarray(check_size(objects, path, self.camera_of(id_)) > 0)
+
+    def _projection(self, id_: str, camera: str) -> tuple[Matrix, Matrix]:
+        path, number = self._calibration_file(id_), NUMBERS[camera]
+        values = self._calibration(path)
+        key = f"P{number}" if f"P{number}" in values else f"P_rect_0{number}"
+        return split_projection(need(values, key, 12, path).reshape(3, 4), key, path)
+
+    def _calibration_file(self, id_: str) -> Path:
+        """Return the frame's calibration: its own, or the one that serves all frames."""
+        found = next((path for path in self._calibration_places(id_) if path in self._shared or path.is_file()), None)
+        if found is None:
+            wanted = self._calibration_places(id_)[0]
+            raise DataError(f"{wanted}: no such file: {CALIBRATION}")
+        return found
+
+    @cached_property
+    def _shared(self) -> set[Path]:
+        """Calibration files for all frames that are there."""
+        places = [above / "calib_cam_to_cam.txt" for above in (self.folder, self.folder.parent)]
+        return {path for path in places if path.is_file()}
+
+    def _calibration_places(self, id_: str) -> list[Path]:
+        """List where the frame's calibration may be, the likeliest first."""
+        file, split = f"{id_[:6]}.txt", self.folder.name
+        inside = "calib_cam_to_cam" if self.camera_name in PAIRS[0] else "calib"
+        calibs = [above / zip_ / split for above in list(self.folder.parents)[:2] for zip_ in (
+            "data_scene_flow_calib", "data_stereo_flow_calib", "calib")]  # fmt: skip
+        own = [folder / inside / file for folder in (self.folder, *calibs)]
+        return [*own, *(path / "calib_cam_to_cam.txt" for path in (self.folder, self.folder.parent))]
+
+    def _find_truth(self) -> Path | None:
+        """Return the folder of the camera's truth; DataError where --truth names one that has none."""
+        names = TRUTHS.get(self.camera_name, () if self.side == "right" else ("disp_occ", "disp_noc"))
+        if self.truth is None:
+            own = [self.folder / name for name in TRUTHS.get(self.camera_name, ())]
+            return next((path for path in own if path.is_dir()), None)
+        split = self.folder.name
+        places = [self.truth, *(self.truth / name for name in names), *(self.truth / split / name for name in names)]
+        found = next((path for path in places if set(stems(path, [".png"])) & set(self.images)), None)
+        if found is None:
+            raise DataError(f"{self.truth}: --truth should hold disparity maps such as {self.ids[0]}.png, found none")
+        return found
+
+
+def _references(folder: Path) -> dict[str, Path]:
+    """Map frame id to image, for those of frame number 10."""
+    images = stems(folder, IMAGE_SUFFIXES)
+    return {id_: path for id_, path in images.items() if REFERENCE.fullmatch(path.name)}
+
+
+def _read_calibration(path: Path) -> dict[str, Any]:
+    return dict(read_key_values(path))
