@@ -248,7 +248,8 @@ def test_a_prior_can_stand_for_the_truth(run: Run, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("arguments", "code", "told"),
     [
-        (("--only", "nothing"), 2, "no entrant's name begins so; there are SGBM"),
+        (("--only", "nothing"), 2, "expected how a name begins: completion, lidar"),
+        (("--only", "stereo psm"), 2, "no entrant's name begins so; there are SGBM"),
         (("--count", "0"), 2, "--count"),
         (("--at-most", "fast"), 2, "--at-most fast: expected a number and s, m or h"),
         (("--network", "none.onnx"), 1, "no such file"),

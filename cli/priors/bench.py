@@ -10,7 +10,7 @@ from cli.console import DATA_ERROR, busy, err, out, progress
 from cli.durations import duration, seconds
 from eval import typeset
 from eval.protocol import PRESETS, preset
-from priors import cache
+from priors import cache, methods
 from priors.bench import entrants, table
 from priors.bench.entrants import Entrant
 from priors.bench.judge import judge
@@ -18,7 +18,7 @@ from priors.bench.race import BUSY, Race, load
 from priors.bench.results import FOLDER
 from priors.bench.schedule import Schedule
 from priors.cache import Prior
-from priors.errors import UsageError, expect_between
+from priors.errors import UsageError, expect, expect_between
 from priors.selection import parse_range
 
 EXAMPLES = """Measure every method, model, size and runtime on the same frames of a drive, in turn: time, memory, error.
@@ -68,6 +68,10 @@ class PriorsBenchArguments(ThreadArguments, SequenceArguments):
         expect_between(1, self.count, MOST_FRAMES, "--count")
         parse_range(self.frame_range(self.frames))
         seconds(self.at_most, "--at-most")
+        begins = (*methods.names(), *(name for name, _ in entrants.BASELINES))
+        for name in self.only:
+            known = bool(name) and any(name.startswith(each) or each.startswith(name) for each in begins)
+            expect(known, "--only", name or "''", f"how a name begins: {', '.join(begins)}")
         if self.times_only and self.against is not None:
             raise UsageError("--against: nothing is scored with --times-only: leave out one or the other")
 

@@ -1,8 +1,7 @@
 """Scout: an entrant makes a frame's map in a process of its own, which tells its time and its peak memory.
 
-    python -m priors.bench.scout < errand        the other end of `send`
-
-What an entrant lacks, and whether it works here at all, is known before the bench begins.
+The module run as a program, with an errand on stdin, is the other end of `send`. What an entrant lacks, and whether it
+works here at all, is known before the bench begins.
 """
 
 import json

@@ -2,9 +2,9 @@
 
     python tests/bench/bench_shipped.py --write        measures it: shipped.json
 
-A time is scaled twice. From two sizes of image to a third: by a power law through both. From that machine to this one:
-by the probes (probe.py), of the same kind of CPU. Errors are of procedural streets: they rank, and a drive of yours has
-others.
+Its times are processor time of one thread, and are scaled twice. From two sizes of image to a third: by a power law
+through both. From that machine to this one: by the probes (probe.py), of the same kind of CPU. Errors are of
+procedural streets: they rank, and a drive of yours has others.
 """
 
 import json
