@@ -3,6 +3,7 @@ PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
 MESH_VENV ?= $(VENV)-mesh
+PARSERS_VENV ?= $(VENV)-parsers
 SITE_VENV ?= $(VENV)-site
 DEMO ?= demo
 DATA ?= ../shared/data/kitti_raw_397x120
@@ -11,7 +12,7 @@ INSTALL := -m pip install --quiet --disable-pip-version-check --constraint const
 PIP := $(BIN)/python $(INSTALL)
 
 .DEFAULT_GOAL := help
-.PHONY: help fix cov demo test modes slow browser site splats datasets stress mesh lint types bench gpu gpu-pack clean
+.PHONY: help fix cov demo test modes slow browser site splats datasets stress parsers mesh lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -41,6 +42,16 @@ demo: $(VENV)/.installed  ## the whole story on the embedded street: four priors
 
 test: $(VENV)/.dev  ## the quick tests
 	$(BIN)/python -m pytest -m "not slow and not browser and not docs and not splats and not datasets and not stress"
+
+$(PARSERS_VENV)/.installed: tests/parsers/requirements.txt
+	$(PYTHON) -m venv $(PARSERS_VENV)
+	$(PARSERS_VENV)/bin/python -m pip install --quiet --disable-pip-version-check --no-deps --requirement $<
+	touch $@
+
+parsers: $(PARSERS_VENV)/.installed  ## other programs' own parsers, in an environment of their own, without dependencies
+
+datasets: export ROADPRIOR_PARSERS := $(abspath $(PARSERS_VENV))/bin/python
+datasets: $(PARSERS_VENV)/.installed
 
 splats datasets stress: $(VENV)/.dev  ## tests of one part each
 	$(BIN)/python -m pytest -q -m "$@ and not slow"
@@ -110,4 +121,4 @@ gpu: gpu-pack  ## what a borrowed GPU is asked: docs/gpu.md; DEVICE=cpu BUDGET=1
 	$(BIN)/python tests/bench/gpu --device $(DEVICE) $(if $(BUDGET),--budget $(BUDGET)) $(if $(PARTS),--parts $(PARTS))
 
 clean:  ## remove the environments and the demo
-	rm -rf $(VENV) $(MESH_VENV) $(SITE_VENV) build $(DEMO)
+	rm -rf $(VENV) $(MESH_VENV) $(PARSERS_VENV) $(SITE_VENV) build $(DEMO)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 from eval.files import write_bytes
-from nerf import origin
 from nerf.scene import Scene
 from nerf.viewpoints import Viewpoints
+from priors import origin
 from priors.types import Camera
 
 NAME = "cameras.json"

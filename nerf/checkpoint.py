@@ -12,12 +12,13 @@ from safetensors import torch as tensors
 from torch import Tensor
 
 from eval.files import write_bytes
-from nerf import fields, origin
+from nerf import fields
 from nerf.config import FitConfig, ModelConfig
 from nerf.model import GoesOn, Model
-from nerf.origin import Offset
 from nerf.scene import Scene
+from priors import origin
 from priors.errors import DataError
+from priors.origin import Offset
 from priors.records import restore
 
 NAME = "checkpoint.safetensors"

@@ -1,36 +1,31 @@
 """Export: a coloured point cloud, and a mesh through open3d.
 
 Both are made in float32 near the path and written in the drive's own frame: where that is far from its zero, an origin
-is taken off the poses and put back in float64 (nerf/origin.py).
+is taken off the poses and put back in float64 (priors/origin.py).
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from eval.files import write_bytes
 from eval.image import as_uint8
-from nerf import origin
-from nerf.origin import Offset
 from nerf.types import OPAQUE, Render, RenderedView
+from priors import origin
 from priors.errors import DataError
 from priors.export import triangles
+from priors.export.fusion import cells_of, nearest
+from priors.export.ply import POINT, Points, write_ply
 from priors.export.triangles import Triangles
 from priors.geometry import invert, rays
+from priors.origin import Offset
 from priors.types import Camera, Depth, FloatMap, Matrix
 
-POINT = np.dtype(
-    [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("red", "u1"), ("green", "u1"), ("blue", "u1")]
-)  # fmt: skip
-FAR_POINT = np.dtype([(name, "<f8" if name in "xyz" else POINT[name]) for name in POINT.names or ()])
-"""A point of a drive far from zero."""
 BLOCK_VOXELS, FIRST_BLOCKS, TRUNCATION_VOXELS = 16, 10_000, 4.0
-Points: TypeAlias = npt.NDArray[np.void]
 Poses = npt.NDArray[np.float64]
 Step = Callable[[], None]
 
@@ -93,35 +88,6 @@ def view_points(
     for channel, name in enumerate(("red", "green", "blue")):
         points[name] = as_uint8(view.rgb)[depth.valid][:, channel]
     return points, depth.depth_m[depth.valid]
-
-
-def nearest(cells: npt.NDArray[np.int64], depth_m: FloatMap) -> npt.NDArray[np.int64]:
-    """Return the places, ascending, of the least depth in each cell; the first of equal ones."""
-    order = np.lexsort((depth_m, cells))
-    first = np.ones(len(order), dtype=bool)
-    first[1:] = cells[order[1:]] != cells[order[:-1]]
-    return np.sort(order[first])
-
-
-def cells_of(points: Points, voxel_m: float) -> npt.NDArray[np.int64]:
-    """Number the voxel of each point (n,): 21 bits an axis, so cells repeat after 2^21 of them, 200 km of 0.1 m."""
-    number = np.zeros(len(points), dtype=np.int64)
-    for name in "xyz":
-        number = (number << 21) | (np.floor(points[name] / voxel_m).astype(np.int64) & ((1 << 21) - 1))
-    return number
-
-
-def write_ply(path: Path, points: Points, origin_m: Offset = origin.NONE) -> None:
-    """Write points (n,) POINT as binary little-endian PLY, atomically; far from zero their places are doubles."""
-    if origin_m != origin.NONE:
-        points = points.astype(FAR_POINT)
-        for name, offset_m in zip("xyz", origin_m, strict=True):
-            points[name] += offset_m
-    kinds = {"<f4": "float", "<f8": "double", "|u1": "uchar"}
-    properties = [f"property {kinds[points.dtype[name].str]} {name}" for name in POINT.names or ()]
-    lines = ["ply", "format binary_little_endian 1.0", "comment metres, in the drive's world frame"]
-    lines += [f"element vertex {len(points)}", *properties, "end_header"]
-    write_bytes(path, "".join(f"{line}\n" for line in lines).encode() + points.tobytes())
 
 
 def write_mesh(

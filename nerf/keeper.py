@@ -9,8 +9,8 @@ from pathlib import Path
 from nerf.checkpoint import Spent, save
 from nerf.finite import NotFiniteError, bad_tensor
 from nerf.model import Model
-from nerf.origin import Offset
 from priors.errors import DataError
+from priors.origin import Offset
 
 LOG = logging.getLogger(__name__)
 FIRST_S = 4.0

@@ -30,7 +30,7 @@ class StepResult:
 
 
 class Model(Protocol):
-    """A model of one scene; poses are in the scene's frame (nerf/origin.py)."""
+    """A model of one scene; poses are in the scene's frame (priors/origin.py)."""
 
     @property
     def config(self) -> ModelConfig:

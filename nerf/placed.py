@@ -7,9 +7,9 @@ from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
 from nerf.model import Model, StepResult
-from nerf.origin import Offset, without
 from nerf.scene import Scene
 from nerf.types import RenderedView
+from priors.origin import Offset, without
 from priors.types import Camera, Matrix
 
 

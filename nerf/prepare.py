@@ -19,16 +19,16 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.files import write_bytes
-from nerf import origin
 from nerf.guide import Guide, Maps, maps_of
-from nerf.origin import Offset
 from nerf.rate import Rate
 from nerf.scene import Scene
 from nerf.split import check_views, split
 from nerf.stack import Stack, StackWriter
+from priors import origin
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.motion import trajectory
+from priors.origin import Offset
 from priors.selection import parse_range, range_of, select
 from priors.sky import VERSION, sky_mask
 from priors.types import Camera, Drive
@@ -78,7 +78,7 @@ def open_scene(
         config: which frames, and what the prior passes.
         folder: where the arrays are kept.
         progress: shows what is prepared.
-        origin_m: what a run that goes on took off the positions; None: chosen for these frames (nerf/origin.py).
+        origin_m: what a run that goes on took off the positions; None: chosen for these frames (priors/origin.py).
 
     Raises:
         DataError: frames lack poses, poses jump, or the prior was made for another drive or camera, or has no frame

@@ -18,7 +18,7 @@ from typing import Any
 
 from eval.files import write_bytes
 from eval.lpips import Lpips
-from nerf import cameras, checkpoint, fields, journal, origin
+from nerf import cameras, checkpoint, fields, journal
 from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
 from nerf.evidence.lidar import sweeps_of
@@ -35,6 +35,8 @@ from nerf.scene import Scene
 from nerf.split import SPARSE_STEP, in_name, split
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
+from priors import origin
+from priors.drive_around import Stretch
 from priors.drives import poses_remark, reopen
 from priors.errors import DataError, expect
 from priors.filters import Filters
@@ -266,7 +268,12 @@ def begin(
     Raises:
         DataError: the folder holds a run with other settings.
     """
-    config = RunConfig.of(drive, prior, scene or SceneConfig(), fit or FitConfig())
+    scene = scene or SceneConfig()
+    if isinstance(drive, Stretch):  # a run's record reopens the whole drive
+        expect(scene.frames is None, "frames", scene.frames, "none beside a stretch of a drive")
+        scene = replace(scene, frames=drive.frames)
+        drive = drive.drive
+    config = RunConfig.of(drive, prior, scene, fit or FitConfig())
     if config.fit.align == "learn":
         expect(prior is not None, "--align", "learn", "auto where there is no prior to align")
         family = config.fit.model.family

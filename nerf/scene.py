@@ -1,6 +1,6 @@
 """Scene: posed frames and a prior's maps, arrays or files that are never held whole.
 
-Its frame is the drive's metric frame, less an origin where the drive is far from zero (nerf/origin.py).
+Its frame is the drive's metric frame, less an origin where the drive is far from zero (priors/origin.py).
 """
 
 from dataclasses import dataclass
@@ -10,12 +10,12 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from nerf import origin
 from nerf.evidence.corrected import Corrected
-from nerf.origin import Offset
 from nerf.stack import Stack
 from nerf.types import Rays
+from priors import origin
 from priors.geometry import rays as pixel_rays
+from priors.origin import Offset
 from priors.types import Camera, Matrix
 
 

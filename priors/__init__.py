@@ -21,6 +21,7 @@ _HOMES = {
     "Mono": "priors.methods.mono",
     "Filters": "priors.filters",
     "Prior": "priors.cache",
+    "depth_html": "priors.draw.notebook",
     "DataError": "priors.errors",
 }
 

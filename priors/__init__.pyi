@@ -1,4 +1,5 @@
 from priors.cache import Prior as Prior
+from priors.draw.notebook import depth_html as depth_html
 from priors.drives import open_drive as open_drive
 from priors.errors import DataError as DataError
 from priors.filters import Filters as Filters

@@ -70,13 +70,19 @@ def read_depth_png(path: Path, encoding: str = "kitti") -> FloatMap:
 
 def decode_depth_png(data: bytes, path: Path, encoding: str = "kitti") -> FloatMap:
     """Read what a file holds as `read_depth_png` does; errors name the path."""
+    codes = _decode_codes(data, path, f"write uint16, metres x {PNG_SCALE[encoding]:.0f}")
+    return codes.astype(np.float32) / np.float32(PNG_SCALE[encoding])
+
+
+def _decode_codes(data: bytes, path: Path, advice: str) -> npt.NDArray[np.uint16]:
+    """Return the codes of a 16-bit one-channel PNG; `advice` says what to do with one of one channel and other bits."""
     codes = _decode(data, path)
     if codes.dtype != np.uint16 or codes.ndim != 2:
         channels = 1 if codes.ndim == 2 else codes.shape[2]
         kind = f"{8 * codes.itemsize} bits and {channels} channel{'s' if channels > 1 else ''}"
-        advice = f"write uint16, metres x {PNG_SCALE[encoding]:.0f}" if channels == 1 else "is this a colour map?"
+        advice = advice if channels == 1 else "is this a colour map?"
         raise DataError(f"{path}: expected a 16-bit one-channel PNG, found {kind}: {advice}")
-    return codes.astype(np.float32) / np.float32(PNG_SCALE[encoding])
+    return np.asarray(codes, np.uint16)
 
 
 def encode_depth(depth_m: npt.NDArray[np.floating], encoding: str = "kitti") -> tuple[npt.NDArray[np.uint16], int]:
@@ -132,15 +138,26 @@ def encode_confidence_png(confidence: FloatMap) -> bytes:
 
     Eight bits would lump together most of what a good method trusts: 0.99 and 0.999 are apart by three codes.
     """
-    return _encode_png(np.rint(np.clip(np.nan_to_num(confidence), 0, 1) * 65535).astype(np.uint16))
+    whole = np.nan_to_num(confidence.astype(np.float32, copy=False))  # float16 does not hold 65535
+    return _encode_png(np.rint(np.clip(whole, 0, 1) * LARGEST_CODE).astype(np.uint16))
+
+
+def write_codes_png(path: Path, codes: npt.NDArray[np.uint16]) -> None:
+    """Write codes (height, width) as a uint16 PNG, atomically."""
+    write_bytes(path, _encode_png(codes))
 
 
 def read_float_map(path: Path) -> FloatMap:
     """Read depth (metres) or disparity (px) by suffix: .png (kitti), .npy, .npz or .pfm; 0 = no value."""
+    return read_depth_png(path) if path.suffix.lower() == ".png" else read_numbers(path)
+
+
+def read_numbers(path: Path) -> FloatMap:
+    """Read a map's numbers as the file holds them, a PNG's codes too; by suffix, 0 = no value."""
     suffix = path.suffix.lower()
     if suffix == ".png":
-        return read_depth_png(path)
-    if suffix == ".pfm":
+        values: npt.NDArray[Any] = _decode_codes(read_bytes(path), path, "8 bits are too few for depth: write uint16")
+    elif suffix == ".pfm":
         values = read_pfm(path)
     elif suffix in (".npy", ".npz"):
         values = _load_numpy(path)

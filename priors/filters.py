@@ -57,7 +57,8 @@ def keep_agreeing(depth: Depth, other_px: FloatMap, disparity_px: FloatMap, shif
     columns = np.rint(np.arange(width, dtype=np.float32) + np.float32(shift) * disparity_px)
     inside = depth.valid & (disparity_px > 0) & (columns >= 0) & (columns < width)
     landed = np.take_along_axis(other_px, np.where(inside, columns, 0).astype(np.int64), axis=1)
-    return depth.keep(inside & (landed > 0) & (np.abs(landed - disparity_px) <= np.float32(most_px)))
+    with np.errstate(invalid="ignore"):  # infinite disparities, of depth 0, are no match of each other
+        return depth.keep(inside & (landed > 0) & (np.abs(landed - disparity_px) <= np.float32(most_px)))
 
 
 def keep_confident(depth: Depth, least: float) -> Depth:

@@ -16,9 +16,11 @@ Kind = TypeVar("Kind", bound=np.generic)
 
 
 def transform(T_a_b: Matrix, xyz_b: Points) -> Points:
-    """Map points (n, 3) from frame b to frame a; keeps the points' dtype."""
-    rotation = T_a_b[:3, :3].astype(xyz_b.dtype)
-    return xyz_b @ rotation.T + T_a_b[:3, 3].astype(xyz_b.dtype)
+    """Map points (n, 3) from frame b to frame a; keeps the points' dtype. A point that is not finite stays so."""
+    kind = np.promote_types(xyz_b.dtype, np.float32)  # float16 is too coarse to compute in
+    with np.errstate(invalid="ignore", over="ignore"):
+        moved = xyz_b.astype(kind, copy=False) @ T_a_b[:3, :3].astype(kind).T + T_a_b[:3, 3].astype(kind)
+        return moved.astype(xyz_b.dtype, copy=False)
 
 
 def invert(T_a_b: Matrix) -> Matrix:

@@ -33,7 +33,10 @@ def _short_names(priors: Sequence[Prior]) -> list[str]:
 
 
 def _network_name(prior: Prior) -> str:
-    """Return 'stereo cfnet', or the method's name alone where its usual model made the maps."""
+    """Return 'stereo cfnet', 'imported depths_mono', or the method's name alone where its usual model made the maps."""
+    source = prior.manifest.get("source")
+    if isinstance(source, str):
+        return f"{prior.method} {source}"
     usual, own = _usual_and_own(prior)
     model = own.get("model")
     return prior.method if model is None or model == usual.get("model") else f"{prior.method} {model}"
@@ -70,6 +73,8 @@ def _words(name: str, values: dict[str, Any]) -> str:
 def _usual_and_own(prior: Prior) -> tuple[Record, Record]:
     """Return a method's usual settings and a prior's, in today's names; no usual ones where the method is not known."""
     own: Record = prior.manifest.get("config", {})
+    if "source" in prior.manifest:
+        return dict.fromkeys(own), own  # imported: whatever differs between two is told
     if prior.method not in methods.names():
         return {}, own
     kind = methods.config_type(prior.method)

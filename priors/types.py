@@ -37,7 +37,7 @@ class Camera:
 
 @dataclass(frozen=True, slots=True)
 class Depth:
-    """A depth map: what every method returns and the cache stores."""
+    """A depth map: what every method returns and the cache stores. A notebook shows it as a picture."""
 
     depth_m: FloatMap
     """(height, width) float32, distance along the camera's z axis in metres; 0 = no value."""
@@ -46,6 +46,22 @@ class Depth:
     consistency: FloatMap | None = None
     """(height, width) float32 in [0, 1]: a second confidence, how well the neighbouring frames' maps agree; None where
     nobody compared them."""
+
+    def __repr__(self) -> str:
+        """Tell size and values in a line: the arrays themselves are long."""
+        size = "x".join(str(length) for length in self.depth_m.shape[::-1])
+        told = f"{size}, no value"
+        if self.valid.any():
+            near_m, middle_m, far_m = np.percentile(self.depth_m[self.valid], (0, 50, 100))
+            values = f"{near_m:.1f} to {far_m:.1f} m, median {middle_m:.1f} m"
+            told = f"{size}, {self.density:.1%} of the pixels have {values}"
+        return f"Depth({told}{'' if self.confidence is None else ', with confidence'})"
+
+    def _repr_html_(self) -> str:
+        """Show the map in a notebook; drawing lies below the types, so it is asked at the package's front door."""
+        import priors
+
+        return priors.depth_html(self)
 
     @property
     def valid(self) -> Mask:
@@ -133,6 +149,12 @@ class Frame:
     """Which file a reader reads when it is called with the same arguments; None where the drive has no such file.
     `sweep.times` is another file that the reader `sweep` reads, whatever its arguments.
     A reader that is not listed is not watched: a changed file of it is not noticed."""
+
+    def __repr__(self) -> str:
+        """Tell in a line what the frame has."""
+        height, width = self.camera.size
+        has = [*self.readers, *(["pose"] if self.T_world_cam is not None else [])]
+        return f"Frame({self.id}, {width}x{height}, with {', '.join(has)})"
 
     def has(self, what: Input) -> bool:
         """Tell whether it can be read here."""

@@ -1,5 +1,6 @@
 """The pages that show Python run, in order, beside a street; lazy names are those of their files."""
 
+import json
 import re
 from importlib import import_module
 from pathlib import Path
@@ -28,6 +29,16 @@ def test_a_page_s_python_runs(page: str, street: Path, tmp_path: Path, monkeypat
     code = "\n".join(PYTHON.findall((ROOT / page).read_text()))
     assert code
     exec(compile(code, page, "exec"), {})
+
+
+@pytest.mark.docs
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its cells, with fewer steps; what is committed is what Jupyter wrote when it ran them."""
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((ROOT / "docs/notebooks/street.ipynb").read_text())["cells"]
+    code = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    assert "steps=200" in code
+    exec(compile(code.replace("steps=200", "steps=10").replace("(96, 320)", "(64, 208)"), "street.ipynb", "exec"), {})
 
 
 @pytest.mark.parametrize("name", re.findall(r"^::: ([\w.]+)$", (ROOT / "docs/api.md").read_text(), re.MULTILINE))

@@ -12,7 +12,9 @@ from priors.errors import DataError
 
 
 def test_names_are_the_files() -> None:
-    assert drives.names() == ["argoverse1", "folder", "images", "kitti_odometry", "kitti_raw", "kitti_stereo"]
+    assert drives.names() == [
+        "argoverse1", "colmap", "folder", "images", "kitti_odometry", "kitti_raw", "kitti_stereo", "nerfstudio",
+    ]  # fmt: skip
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from priors.methods.completion import Completion, complete
 from priors.nets import runtime, weights
 from priors.nets.blocks import channels_last, fold
 from priors.nets.fused import available
-from priors.nets.mffnet import LARGEST_CHANGE, SIZES, Mffnet, _correct, correct, describe, exchange
+from priors.nets.mffnet import LARGEST_CHANGE, SIZES, Mffnet, correct, correct_fast, describe, exchange
 from priors.types import Camera, Depth, FloatMap
 
 F = np.float32
@@ -122,7 +122,7 @@ def test_the_kernel_of_the_last_step_equals_plain_torch(kind: torch.dtype) -> No
     raw = (20 * torch.randn(2, 16, 5, 7, generator=generator)).to(kind).to(memory_format=torch.channels_last)
     log_fill = torch.randn(2, 9, 13, generator=generator)  # smaller than the padded 10 x 14
     with torch.no_grad():
-        ours, twin = _correct(raw, log_fill), correct(raw, log_fill, branches=False)
+        ours, twin = correct_fast(raw, log_fill), correct(raw, log_fill, branches=False)
     for found, expected in zip(ours, twin, strict=True):
         torch.testing.assert_close(found, expected, atol=1e-6, rtol=2e-6)
 

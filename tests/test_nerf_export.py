@@ -8,10 +8,11 @@ import cv2
 import numpy as np
 import pytest
 
-from nerf.export import CloudConfig, cells_of, write_cloud, write_mesh
+from nerf.export import CloudConfig, write_cloud, write_mesh
 from nerf.types import RenderedView
 from nerf.video import VideoConfig, interpolate, write_video
 from priors.errors import DataError
+from priors.export.fusion import cells_of
 from priors.types import Camera
 
 CAMERA = Camera(np.array([[40.0, 0, 24], [0, 40, 15], [0, 0, 1]]), (31, 49))

@@ -11,13 +11,14 @@ from factories import write_folder
 from hypothesis import given
 from hypothesis import strategies as st
 
-from nerf import checkpoint, origin
+from nerf import checkpoint
 from nerf.config import FitConfig, ModelConfig
 from nerf.export import CloudConfig, write_cloud
 from nerf.prepare import SceneConfig
 from nerf.run import Run, begin, open_run
 from nerf.sample import SamplerConfig
 from nerf.view.stage import open_stage
+from priors import origin
 from priors.drive_around import DriveAround
 from priors.drives import open_drive
 from priors.types import Drive, Frame

@@ -140,18 +140,6 @@ def test_graphs_are_kept_a_size_and_hold_the_header() -> None:
     assert session.get_modelmeta().custom_metadata_map["roadprior"] == '{"net": "mffnet"}'
 
 
-@pytest.mark.parametrize(("name", "size"), [("bts", "s"), ("mffnet", "s")])
-def test_the_command_writes_a_file_that_opens(name: str, size: str, tmp_path: Path) -> None:
-    from priors.nets.export import export
-
-    file, out = tmp_path / "a.safetensors", tmp_path / "a.onnx"
-    weights.write(file, network(name, size), {"net": name, "size": size})
-    export(name, size, out, "70x45", weights=file)
-    session = graphs.open_session(out)
-    assert tuple(value.name for value in session.get_inputs()) == graphs.FORMS[name].inputs
-    assert session.get_inputs()[0].shape == [1, 3, 45, 70]
-
-
 def test_the_methods_run_in_onnxruntime(tmp_path: Path) -> None:
     from priors.methods._mono_network import estimate
     from priors.methods._network import Network

@@ -17,6 +17,8 @@ from nerf.export import CloudConfig, write_cloud, write_mesh
 from nerf.pictures import RenderedView
 from priors.drives import open_drive
 from priors.errors import DataError
+from priors.export.fusion import SEEN
+from priors.export.ply import write_ply
 from priors.street import rig
 from priors.street.materials import Material
 from priors.street.street import Street
@@ -147,6 +149,19 @@ def test_every_format_of_a_mesh_is_read_by_open3d(o3d: Any, tmp_path: Path, suff
     shown = np.where(colours[:, 0] <= 0.0031308, 12.92 * colours[:, 0], 1.055 * colours[:, 0] ** (1 / 2.4) - 0.055)
     assert (shown if suffix == ".glb" else colours[:, 0]) == pytest.approx(red, abs=0.05)
     assert [item.name for item in tmp_path.iterdir()] == [f"a{suffix}"]
+
+
+def test_points_with_more_than_a_place_are_read_by_open3d(o3d: Any, tmp_path: Path, capfd: Any) -> None:
+    points = np.zeros(3, SEEN)
+    points["x"], points["red"], points["confidence"], points["views"] = (1, 2, 3), 255, 0.5, (1, 2, 70_000)
+    for origin_m in ((0.0, 0.0, 0.0), (455000.0, 5428000.0, 110.0)):
+        write_ply(tmp_path / "a.ply", points, origin_m)
+        found = o3d.t.io.read_point_cloud(str(tmp_path / "a.ply")).point
+        assert found.positions.numpy() == pytest.approx(np.array([[1.0, 0, 0], [2, 0, 0], [3, 0, 0]]) + origin_m)
+        assert found.colors.numpy().tolist() == [[255, 0, 0]] * 3
+        assert found["confidence"].numpy().ravel().tolist() == [0.5] * 3
+        assert found["views"].numpy().ravel().tolist() == [1, 2, 70_000]
+    assert "WARNING" not in "".join(capfd.readouterr())
 
 
 def test_views_without_a_surface_are_told(o3d: Any, tmp_path: Path) -> None:

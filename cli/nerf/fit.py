@@ -11,7 +11,7 @@ from cli.console import busy, err, fit_progress, out, progress
 from cli.durations import seconds
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
-from nerf import checkpoint, fields, origin
+from nerf import checkpoint, fields
 from nerf.checkpoint import Spent
 from nerf.config import Align, FitConfig, ModelConfig
 from nerf.losses import LossConfig
@@ -22,6 +22,7 @@ from nerf.run import RUNS, Run, RunConfig, begin
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.split import SPARSE_STEP
+from priors import origin
 from priors.errors import UsageError
 from priors.filters import Filters
 from priors.selection import select

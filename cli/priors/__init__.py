@@ -7,10 +7,12 @@ PROGRAM = Program(
     "depth priors for street drives",
     {
         "build": "make depth maps for a drive and cache them",
+        "import": "take depth maps that another program made into the cache",
         "eval": "score cached maps against the drive's truth",
         "report": "write one page: tables, pictures to compare by a slider, plots",
         "show": "write pictures: image, depth, error and confidence side by side",
         "view": "look at a drive and its priors in 3D, live in a browser",
+        "export": "write a prior for nerfstudio, COLMAP, 3DGS, KITTI; as PLY; a network as ONNX",
         "list": "list what a cache holds",
         "bench": "run time against error of every method, on a drive of yours",
         "plan": "what a drive has, needs and does not need, before anything is built",
@@ -18,6 +20,7 @@ PROGRAM = Program(
         "poses": "refine a drive's poses by what its images see",
         "train": "train the networks: render samples, train, pack weights",
         "street": "write the embedded street as a KITTI raw drive",
+        "stress": "run every numerical routine at the limits of its numbers",
     },
     """\
   priors street street/ --frames 40 --size 1242x375     the embedded street: no download needed
@@ -28,6 +31,7 @@ PROGRAM = Program(
   priors eval cache/                                    one table, a row a prior
   priors report cache/                                  one page to open: report.html
   priors show cache/ --frames 5:8                       pictures
-  priors view cache/                                    points in 3D, live in a browser""",
+  priors view cache/                                    points in 3D, live in a browser
+  priors export cache/DRIVE/stereo-KEY --to nerfstudio  images, poses, depth, and the ns-train line""",
 )
 main = PROGRAM.main

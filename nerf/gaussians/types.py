@@ -148,6 +148,8 @@ class Contributions:
     """(m,) share of the pixel's light that it stops: w_i = alpha_i prod_{j < i} (1 - alpha_j)."""
     depths_m: Tensor
     """(m,) camera-z depth of its mean, metres, uncapped."""
+    kept: Any = None
+    """What the way back needs; the kernels' own."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -189,8 +189,7 @@ def kernels_for(device: torch.device) -> Kernels:
 @functools.cache
 def cpu_kernels() -> Kernels:
     """Return what numba compiled for this CPU."""
-    from nerf.kernels.cpu import field, render, sample
-    from nerf.kernels.plain import splat
+    from nerf.kernels.cpu import field, render, sample, splat
 
     return Kernels(field, render, sample, splat)
 

@@ -145,7 +145,7 @@ def _graph_header(file: Path) -> dict[str, Any]:
         return Graph(file).about
     except DataError as error:
         told = "or describe it in a .toml file of its name (docs/methods/mono.md)"
-        raise DataError(f"{file}: no stereo graph of ours: export it by priors.nets.export, {told}") from error
+        raise DataError(f"{file}: no stereo graph of ours: export it by `priors export --to onnx`, {told}") from error
 
 
 def _of_weights(file: Path) -> Method:

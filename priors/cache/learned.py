@@ -34,7 +34,8 @@ class WatchedDrive(DriveAround):
         self._calls: dict[str, dict[str, Call]] = {}
         self._before: DriveSources = {}
 
-    def __getitem__(self, index: int) -> Frame:
+    def frame(self, index: int) -> Frame:
+        """Return a frame whose readers are watched."""
         frame = self.drive[index]
         return watch(frame, self._calls.setdefault(frame.id, {})).frame
 

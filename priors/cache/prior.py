@@ -27,7 +27,7 @@ from priors.types import Depth, FloatMap
 
 CONFIDENCES = ("confidence", "consistency")
 """Maps that may stand beside the depth, coded alike, each in a folder of its name."""
-MEND = "run the same `priors build` again"
+MEND = "run the same `priors {}` again"
 _PNG_END = b"IEND\xaeB`\x82"
 
 
@@ -118,7 +118,7 @@ class Prior:
                 return self.read(frame_id)
             if newer.damaged is None:
                 with suppress(OSError):  # a cache of somebody else: the error alone tells
-                    reason = str(error).removeprefix(f"{self.folder}{os.sep}").removesuffix(f": {MEND}")
+                    reason = str(error).removeprefix(f"{self.folder}{os.sep}").removesuffix(f": {self._mend}")
                     self.journal.append({"id": frame_id, "damaged": reason})
             raise
 
@@ -187,23 +187,30 @@ class Prior:
             try:
                 data = codecs.read_bytes(path)
             except DataError as error:
-                raise DataError(f"{error} (half-written cache: {MEND})" if not path.exists() else str(error)) from error
+                raise DataError(
+                    f"{error} (half-written cache: {self._mend})" if not path.exists() else str(error)
+                ) from error
             maps[kind] = self._decode(kind, data, path, _written(entry).get(kind))
         size = self._size() or maps["depth"].shape
         for kind, values in maps.items():
             if values.shape != size:
                 found = " and ".join(map(str, (values.shape, size)))
-                raise DamagedError(f"{self.path(kind, frame_id)}: sizes differ, {found}: {MEND}")
+                raise DamagedError(f"{self.path(kind, frame_id)}: sizes differ, {found}: {self._mend}")
         return Depth(maps["depth"], maps.get("confidence"), maps.get("consistency"))
 
     def _decode(self, kind: str, data: bytes, path: Path, written: Line | None) -> FloatMap:
         """Return what a file holds; DamagedError where it is not what was written, or no map at all."""
         if written is not None and written.get("sha256") != hashlib.sha256(data).hexdigest():
-            raise DamagedError(f"{path}: damaged: not the {written.get('bytes')} bytes that were written: {MEND}")
+            raise DamagedError(f"{path}: damaged: not the {written.get('bytes')} bytes that were written: {self._mend}")
         try:
             return codecs.decode_depth_png(data, path) if kind == "depth" else codecs.decode_confidence_png(data, path)
         except DataError as error:
-            raise DamagedError(f"{error}: {MEND}") from error
+            raise DamagedError(f"{error}: {self._mend}") from error
+
+    @property
+    def _mend(self) -> str:
+        """Say which command makes the maps again."""
+        return MEND.format("import" if self.method == "imported" else "build")
 
     def _size(self) -> tuple[int, ...] | None:
         """Return (height, width) of the maps, where the manifest says it and all have one size."""

@@ -100,7 +100,7 @@ def judge_maps(sampled: Sequence[Sample]) -> Iterator[Finding]:
             continue
         yield from judge_fill(what, fills[what])
         others = ("stereo", "LiDAR", *(kind for kind in KINDS if kind != what))
-        compared = next((c for name in others if (c := _compare(sampled, what, name)) is not None), None)
+        compared = next((c for name in others if (c := compare(sampled, what, name)) is not None), None)
         if compared is None:
             found, blames_stereo = _judge_ground(sampled, what), False
         elif compared.reference in KINDS and compared.differs and not _is_worse(sampled, compared):
@@ -113,7 +113,7 @@ def judge_maps(sampled: Sequence[Sample]) -> Iterator[Finding]:
             sample.distrust("stereo" if blames_stereo else what)
 
 
-def _compare(sampled: Sequence[Sample], what: str, reference: str) -> Comparison | None:
+def compare(sampled: Sequence[Sample], what: str, reference: str) -> Comparison | None:
     """Collect the values of two depths where both have one; None where they share few pixels."""
     depths, references, stretches = [np.zeros(0)], [np.zeros(0)], [np.zeros(0)]
     for sample in sampled:
@@ -157,7 +157,7 @@ def _blames_stereo(sampled: Sequence[Sample], compared: Comparison) -> bool:
         return False
     if sampled[0].distrusts("stereo") or not is_usual_baseline(sampled[0].frame):
         return True
-    lidar = _compare(sampled, "LiDAR", "stereo")
+    lidar = compare(sampled, "LiDAR", "stereo")
     others = [None if lidar is None else lidar.ratio, motion_ratio(sampled, "stereo")]
     return any(ratio is not None and abs(float(np.log(ratio / compared.ratio))) < SPREAD for ratio in others)
 

@@ -20,6 +20,7 @@ from types import ModuleType
 from typing import Any, Literal
 
 from priors import extensions, refined_poses
+from priors.drive_around import Stretch
 from priors.drives._camera_drive import BY_FRAME as BY_FRAME
 from priors.drives._camera_drive import CameraDrive as CameraDrive
 from priors.drives._files import first_size as first_size
@@ -117,6 +118,8 @@ def is_by_frame(description: dict[str, Any]) -> bool:
 
 def poses_remark(drive: Drive, held_out: Collection[str]) -> tuple[str, ...]:
     """Say of refined poses whether images or sweeps of held-out frames took part; nothing of other poses."""
+    if isinstance(drive, Stretch):
+        return poses_remark(drive.drive, held_out)
     if not isinstance(drive, RefinedDrive):
         return ()
     seen, source = len(drive.poses.looked_at(held_out)), drive.poses.record["source"]

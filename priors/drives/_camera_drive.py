@@ -4,13 +4,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, overload
 
 from priors import codecs
+from priors.drive_around import Stretch, tell
 from priors.drives._files import check_baseline, check_size, digest, read_sized
 from priors.drives._links import plain
 from priors.errors import DataError, UsageError
-from priors.types import Camera, Depth, Frame, Image, Matrix, Rig
+from priors.types import Camera, Depth, FloatMap, Frame, Image, Matrix, Rig
 
 BY_FRAME = "by frame"
 """What the description of a drive whose frames have cameras of their own says under `cameras`."""
@@ -98,7 +99,19 @@ class CameraDrive(ABC):
     def __len__(self) -> int:
         return len(self.ids)
 
-    def __getitem__(self, index: int) -> Frame:
+    def __repr__(self) -> str:
+        return tell(self)
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> Stretch: ...
+
+    def __getitem__(self, index: int | slice) -> Frame | Stretch:
+        return Stretch(self, range(len(self))[index]) if isinstance(index, slice) else self._frame(index)
+
+    def _frame(self, index: int) -> Frame:
         id_ = self.ids[index]
         missing, readers = dict(self.missing(id_)), self.readers(id_)
         T_world_cam = T_cam_lidar = None
@@ -167,6 +180,10 @@ class CameraDrive(ABC):
     def read_map(self, path: Path, id_: str) -> Depth:
         """Read a depth map of a frame, which must have its camera's size."""
         return Depth(check_size(codecs.read_float_map(path), path, self.camera_of(id_)))
+
+    def shown_map(self, values: FloatMap, id_: str) -> FloatMap:
+        """Return a map (height, width) of a frame's image as it is stored, as the frame shows the image."""
+        return values
 
     def paired_camera(self) -> str:
         """Return the pair's other camera, for data sets whose cameras all have one; else UsageError names them."""

@@ -34,7 +34,8 @@ class RefinedDrive(DriveAround):
         scans = getattr(self.drive, "scans", dict)
         return dict(scans())
 
-    def __getitem__(self, index: int) -> Frame:
+    def frame(self, index: int) -> Frame:
+        """Return a frame with its refined pose, or with the reason why it has none."""
         frame, T_world_cam = self.drive[index], self.poses.T_world_cam.get(self.ids[index])
         missing = dict(frame.missing)
         if T_world_cam is None:

@@ -1,1 +1,1 @@
-"""Files for other programs."""
+"""Files for other programs: a file a format (nerfstudio, COLMAP, 3DGS, KITTI, PLY, ONNX), and what they share."""

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 from priors.types import FloatMap
 
 STRETCH = 256
@@ -25,7 +25,7 @@ def find_hidden(disparity_px: FloatMap, margin_px: float, hidden: npt.NDArray[np
             nearest = min(nearest, lands)
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def interpolate(values: FloatMap, knots: FloatMap, heights: FloatMap, out: FloatMap) -> None:
     """Write a table's value for each of values (n,): linear between rising knots (k,), the last one's beyond.
 
@@ -48,4 +48,4 @@ def interpolate(values: FloatMap, knots: FloatMap, heights: FloatMap, out: Float
                 below[n] += np.int32(part[n] >= knot)
         for n in range(part.size):
             k = below[n]
-            written[n] = heights[k] + slope[k] * (max(part[n], knots[0]) - knots[k])
+            written[n] = heights[k] + slope[k] * (min(max(part[n], knots[0]), knots[last]) - knots[k])

@@ -3,11 +3,11 @@
 import numpy as np
 
 from priors.kernels.floats import Bits, exponentiate, widen
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 from priors.types import FloatMap
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def upsample(values: FloatMap, logits: Bits, factor: int, largest: float, out: FloatMap, first: int, last: int) -> None:
     """Write averages of values (b, c, h, w) by softmax(logits (b, h, w, factor^2 * 9)): (b, c, h * factor, ...).
 
@@ -22,7 +22,7 @@ def upsample(values: FloatMap, logits: Bits, factor: int, largest: float, out: F
         share, scratch = np.empty(logits[b, y].size, np.float32), np.empty(logits[b, y].size, np.float32)
         widen(logits[b, y].reshape(-1), share)
         for k in range(share.size):
-            share[k] = min(max(share[k], np.float32(-largest)), np.float32(largest))
+            share[k] = min(max(share[k], np.float32(-largest)), np.float32(largest)) - np.float32(largest / 2)
         exponentiate(share, scratch)
         shares = share.reshape((width, factor * factor, 9))
         for x in range(width):

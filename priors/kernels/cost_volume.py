@@ -9,14 +9,19 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.kernels.floats import Bits, narrow, widen
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 from priors.types import FloatMap
 
+ONE = np.float32(1)
+SOFT = np.float32(1e-4)
+"""Added to the square of a group's length."""
+LARGEST_SQUARE = np.float32(1e30)
+"""From here on float32's largest number is not far."""
 CHUNK = 2048
 """Products that are held at a time: 8 KB, which the fastest cache has."""
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST, error_model="numpy")
 def match(
     left: Bits, right: Bits, disparity_px: FloatMap, groups: int, also: FloatMap, out: Bits, first: int, last: int
 ) -> None:
@@ -38,7 +43,7 @@ def match(
         narrow(line.reshape(-1), out[row].reshape(-1))
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST, error_model="numpy")
 def match_beside(
     before: Bits,
     left: Bits,
@@ -70,7 +75,7 @@ def match_beside(
                 out[row, x, first + k] = bits[x, k]
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST, error_model="numpy")
 def units(features: Bits, groups: int, out: FloatMap, first: int, last: int) -> None:
     """Write features (rows, w, c) with every group of channels of length 1, rows first to last - 1."""
     for row in range(first, last):
@@ -79,7 +84,7 @@ def units(features: Bits, groups: int, out: FloatMap, first: int, last: int) -> 
             line[k] = normalised[k]
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST, error_model="numpy")
 def _match_row(
     left: Bits, right: Bits, disparity_px: FloatMap, groups: int, steps: tuple[int, int], out: FloatMap
 ) -> None:
@@ -111,7 +116,7 @@ def _match_row(
                     line[plane * steps[0] + group * steps[1]] = product[n + group]
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST, error_model="numpy")
 def _place(
     disparity_px: FloatMap, start: int, width: int, column: npt.NDArray[np.int32], share: FloatMap, inside: FloatMap
 ) -> None:
@@ -128,7 +133,7 @@ def _place(
             inside[x * planes + plane] = np.float32(asked == held)
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST, error_model="numpy")
 def _multiply(
     ours: FloatMap,
     planes: int,
@@ -145,12 +150,16 @@ def _multiply(
         mine = ours[x]
         for n in range(x * planes, (x + 1) * planes):
             near, far = theirs[np.uintp(column[n])], theirs[np.uintp(min(column[n] + 1, last))]
-            out, part, keep = product[np.uintp(n)], share[n], inside[n]
-            for k in range(channels):
-                out[k] = mine[k] * (near[k] + part * (far[k] - near[k])) * keep
+            out, part = product[np.uintp(n)], share[n]
+            if inside[n] > 0:
+                for k in range(channels):
+                    out[k] = mine[k] * (near[k] + part * (far[k] - near[k]))
+            else:  # not a product with 0: of what is not finite it would be none
+                for k in range(channels):
+                    out[k] = 0
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST, error_model="numpy")
 def _add_up(values: FloatMap, count: int, size: int) -> None:
     """Add every `size` (a power of two) of the first `count` values to one, in place: halves, quarters, ..."""
     while size > 1:
@@ -159,7 +168,7 @@ def _add_up(values: FloatMap, count: int, size: int) -> None:
             values[n] = values[2 * n] + values[2 * n + 1]
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST, error_model="numpy")
 def unit(features: Bits, groups: int) -> FloatMap:
     """Return a row's features (w, c) as float32, every group of channels of length 1."""
     width, channels = features.shape
@@ -169,15 +178,35 @@ def unit(features: Bits, groups: int) -> FloatMap:
     for k in range(flat.size):
         squares[k] = flat[k] * flat[k]
     _add_up(squares, squares.size, size)
+    largest = np.float32(0)
     for n in range(width * groups):
-        squares[n] = np.float32(1) / np.sqrt(squares[n] + np.float32(1e-4))
+        largest = max(largest, squares[n])
+    if not largest < LARGEST_SQUARE:
+        _shorten(flat, squares, width * groups, size)
+    for n in range(width * groups):
+        squares[n] = ONE / np.sqrt(squares[n] + SOFT)
     scale = _repeat(squares, width * groups, size)
     for k in range(flat.size):
         flat[k] *= scale[k]
     return flat.reshape((width, channels))
 
 
-@compiled(fastmath=True)
+@compiled(error_model="numpy")
+def _shorten(flat: FloatMap, squares: FloatMap, count: int, size: int) -> None:
+    """Bring groups whose squares are too large for float32 to length 1, in float64; what is not finite becomes NaN."""
+    for n in range(count):
+        if squares[n] < LARGEST_SQUARE:
+            continue
+        total = 0.0
+        for k in range(n * size, (n + 1) * size):
+            total += np.float64(flat[k]) ** 2
+        length = np.sqrt(total)
+        for k in range(n * size, (n + 1) * size):
+            flat[k] = np.float32(flat[k] / length)
+        squares[n] = ONE - SOFT  # they have the length 1
+
+
+@compiled(fastmath=FAST, error_model="numpy")
 def _repeat(values: FloatMap, count: int, size: int) -> FloatMap:
     """Return each of the first `count` values `size` (a power of two) times: pairs, pairs of pairs, ..."""
     given, written, spare = values, np.empty(count * size, np.float32), np.empty(count * size, np.float32)

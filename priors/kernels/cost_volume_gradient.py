@@ -6,11 +6,11 @@ share nothing. Without gradients, kernels/cost_volume.py does more at once.
 
 import numpy as np
 
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 from priors.types import FloatMap
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def match(
     left: FloatMap, right: FloatMap, disparity_px: FloatMap, groups: int, out: FloatMap, first: int, last: int
 ) -> None:
@@ -42,7 +42,7 @@ def match(
                     out[row, x, plane, group] = total
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def match_backward(
     left: FloatMap,
     right: FloatMap,

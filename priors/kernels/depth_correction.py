@@ -3,13 +3,13 @@
 import numpy as np
 
 from priors.kernels.floats import Bits, exponentiate, widen
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 from priors.types import FloatMap
 
 LARGEST_LOGIT = np.float32(40)
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def correct(
     raw: Bits, log_fill: FloatMap, largest_change: float, depth: FloatMap, scale: FloatMap, first: int, last: int
 ) -> None:
@@ -37,9 +37,11 @@ def correct(
         exponentiate(logit, scratch)
         for x in range(width):
             first, second = cells[_place(x, y, 0)], cells[_place(x, y, 1)]
-            mixed = second + (first - second) / (np.float32(1) + logit[x])
+            choice = cells[_place(x, y, 2)]
+            mixed = (first + logit[x] * second) / (np.float32(1) + logit[x])  # no difference of large changes
+            mixed = first if choice > LARGEST_LOGIT else second if choice < -LARGEST_LOGIT else mixed
             held = min(max(mixed, np.float32(-largest_change)), np.float32(largest_change))
-            change[x] = log_fill[b, y, x] + held
+            change[x] = log_fill[b, y, x] + (held if mixed == mixed else mixed)  # NaN is not held
             scale[b, y, x] = cells[_place(x, y, 3)]
         exponentiate(change, scratch)
         for x in range(width):

@@ -3,7 +3,7 @@
 import numpy as np
 import numpy.typing as npt
 
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 
 Map = npt.NDArray[np.float32]
 
@@ -33,7 +33,7 @@ def link_columns(
     return links
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST)
 def diffuse_columns(first: Map, second: Map, links: Map, strength: float) -> None:
     """Solve (I + strength L) u = map for two maps (height, width) in place, L the columns' weighted Laplacian.
 

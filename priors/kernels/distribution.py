@@ -5,14 +5,14 @@ import math
 import numpy as np
 
 from priors.kernels.floats import Bits, exponentiate, widen
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 from priors.types import FloatMap
 
 STRETCH = 1024
 """Pixels that are done at a time."""
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def expect(
     logits: Bits, position_px: FloatMap, window: int, mean: FloatMap, sigma: FloatMap, first: int, last: int
 ) -> None:
@@ -47,7 +47,7 @@ def expect(
                 if abs(k - likeliest[n]) <= window:
                     part += shares[n, k]
                     middle += shares[n, k] * position[k]
-            middle /= part
+            middle = middle / part if whole < np.inf else whole  # a logit that is no number is one of all planes
             variance = np.float32(0)
             for k in range(planes):
                 variance += shares[n, k] * (position[k] - middle) ** 2

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 from priors.types import FloatMap
 
 Bits = npt.NDArray[np.unsignedinteger[Any]]
@@ -16,7 +16,7 @@ LOG2_E = np.float32(1.4426950408889634)
 LN_2 = np.float32(0.6931471805599453)
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST)
 def widen(bits: Bits, out: FloatMap) -> None:
     """Write numbers (n,), stored in 16 or 32 bits, as float32."""
     shift = np.uint32(32 - 8 * bits.itemsize)
@@ -25,7 +25,7 @@ def widen(bits: Bits, out: FloatMap) -> None:
         whole[k] = np.uint32(bits[k]) << shift
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST)
 def narrow(values: FloatMap, out: Bits) -> None:
     """Store float32 numbers (n,) in 16 bits, rounded to the nearest even, or as they are in 32."""
     shift = np.uint32(32 - 8 * out.itemsize)
@@ -35,7 +35,7 @@ def narrow(values: FloatMap, out: Bits) -> None:
         out[k] = (whole[k] + half + ((whole[k] >> shift) & odd)) >> shift
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST)
 def exponentiate(values: FloatMap, scratch: FloatMap) -> None:
     """Replace numbers (n,) between -80 and 80 by their exponentials, to 4e-7 of each; scratch is as large.
 

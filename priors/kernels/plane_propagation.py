@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 
 LANES = 16
 NEAR = np.float32(0.05)  # cost below which cheaper is not heavier
@@ -28,7 +28,7 @@ Floats: TypeAlias = npt.NDArray[np.float32]
 Bytes: TypeAlias = npt.NDArray[np.uint8]
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def assign(
     row: Ints,
     column: Ints,
@@ -68,7 +68,7 @@ def assign(
                     costs[p] = here if better else costs[p]
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def average(
     row: Ints,
     column: Ints,
@@ -115,7 +115,7 @@ def average(
                     bottoms[p] += weight
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def fill_holes(
     cost: Floats, top: Floats, bottom: Floats, pad: int, coarse: Floats, sure: Floats, coarse_pad: int, step: int
 ) -> None:
@@ -151,7 +151,7 @@ def fill_holes(
             costs[x] = ONE / (ONE + costs[x])
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def to_depth(
     crisp: Floats,
     soft: Floats,

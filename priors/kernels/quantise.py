@@ -4,12 +4,12 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.kernels.floats import Bits
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 
 ITEM_NS = 0.5
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST)
 def quantise(
     values: Bits, inverse: np.float32, zero: np.float32, out: npt.NDArray[np.uint8], first: int, last: int
 ) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.machine import threads
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 from priors.types import FloatMap, Image, Mask
 
 Floats = npt.NDArray[np.float32]
@@ -71,7 +71,7 @@ def grow_all(starts: FloatMap, colour: Floats, slope: float, slack: float) -> Fl
     return costs
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def _grow(cost: FloatMap, colour: Floats, slope: float, slack: float) -> None:
     height, width = cost.shape
     for sweep in range(4):
@@ -142,7 +142,7 @@ def dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap) ->
     threads.over(values.shape[1], lambda first, last: _dense(values, weights, bias, out, first, last), block)
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def _dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap, first: int, last: int) -> None:
     fours = weights.shape[0] // 4 * 4
     for start in range(first, last, STRETCH):
@@ -176,7 +176,7 @@ def apply_linear(image: Image, model: Floats, factor: int) -> Mask:
     return mask
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def _apply_linear(image: Image, model: Floats, factor: int, mask: Mask, first: int, last: int) -> None:
     width = image.shape[1]
     rows, columns, _ = model.shape

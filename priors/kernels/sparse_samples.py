@@ -9,7 +9,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 
 Ints: TypeAlias = npt.NDArray[np.int32]
 Floats: TypeAlias = npt.NDArray[np.float32]
@@ -88,7 +88,7 @@ def gaps(row_start: Ints, row: Ints, column: Ints, reach: int, step: int) -> tup
     return np.median(down), np.median(across)
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def covered(
     row_start: Ints,
     row: Ints,
@@ -157,7 +157,7 @@ def covered(
     return likely
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def fit_plane(
     value: Floats,
     below: Floats,
@@ -190,7 +190,7 @@ def fit_plane(
     return (vy * xx - vx * xy) / det, (vx * yy - vy * xy) / det
 
 
-@compiled(fastmath=True, error_model="numpy")
+@compiled(fastmath=FAST, error_model="numpy")
 def slopes(
     row_start: Ints,
     row: Ints,

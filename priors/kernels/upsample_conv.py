@@ -6,10 +6,10 @@ The readable twin is nets/blocks.UpsampleConv.
 import numpy as np
 
 from priors.kernels.floats import Bits, narrow, widen
-from priors.machine.compiled import compiled
+from priors.machine.compiled import FAST, compiled
 
 
-@compiled(fastmath=True)
+@compiled(fastmath=FAST)
 def add_interleaved(plus: Bits, answers: Bits, out: Bits, first: int, last: int) -> None:
     """Write plus + answers, interleaved, for the rows first to last - 1.
 

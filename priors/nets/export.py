@@ -1,14 +1,9 @@
 """ONNX files of networks, and onnxruntime to run the stereo ones (graphs.py runs the others).
 
-    python -m priors.nets.export --net cfnet --size s --image-size 1242x375 --max-disparity 192 --out cfnet-s.onnx
-    python -m priors.nets.export --net bts --size m --image-size 1242x375 --out bts-m.onnx
-
 A stereo network's file holds one image size (rounded up to multiples of 32) and one disparity range: the volumes'
 shapes follow from them. `priors build --stereo.weights FILE.onnx` runs it on images that are no larger;
-`--stereo.runtime onnx` with ordinary weights makes the graphs it needs in memory. The files of bts (image and K in;
-depth_m, sky_logit, log_scale and coarse_m out) and mffnet (image, fill_m, certain and sparse_m in; depth_m and
-log_scale out) hold one image size and are for other programs; `--mono.runtime onnx` and `--completion.runtime onnx`
-make their graphs in memory.
+`--stereo.runtime onnx` with ordinary weights makes the graphs it needs in memory. `priors export --to onnx` writes
+files of all networks (priors/export/networks.py).
 """
 
 import json
@@ -23,10 +18,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from eval.files import write_bytes
-from priors.errors import DataError, UsageError
-from priors.nets.graphs import FORMS, open_session, write_down
-from priors.nets.graphs import to_onnx as one_image_to_onnx
+from priors.errors import DataError
+from priors.nets.graphs import open_session, write_down
 from priors.nets.onnx_volume import portable
 from priors.nets.runtime import Ready
 
@@ -121,51 +114,3 @@ class Graphs:
             self.graphs.move_to_end(key)
             graph = self.graphs[key]
         return graph(left, right)
-
-
-def main(arguments: list[str] | None = None) -> None:
-    """Write an ONNX file; takes the command line's arguments."""
-    import tyro
-
-    tyro.cli(export, args=arguments, description=__doc__)
-
-
-def export(
-    net: str, size: str, out: Path, image_size: str = "1242x375", max_disparity: int = 192, weights: Path | None = None
-) -> None:
-    """Write a network with its weights as an ONNX file.
-
-    Args:
-        net: cfnet or pcwnet (stereo), bts (mono) or mffnet (completion).
-        size: s, m or l.
-        out: the file to write.
-        image_size: WIDTHxHEIGHT: of the largest image a stereo network is for, of every image the others are for.
-        max_disparity: largest disparity a stereo network searches, pixels.
-        weights: your own safetensors file; default: what ships.
-    """
-    from priors.nets.runtime import open_net
-
-    width, height = _parse_size(image_size)
-    ready = open_net(net, size, "onnx", weights)
-    if net in FORMS:
-        write_bytes(out, one_image_to_onnx(ready, net, FORMS[net].examples(height, width)))
-        open_session(out)  # it opens
-        return
-    height, width = (-(-side // 32) * 32 for side in (height, width))
-    write_bytes(out, to_onnx(ready, (height, width), -(-max_disparity // 32) * 32))
-    Graph(out)
-
-
-def _parse_size(text: str) -> tuple[int, int]:
-    """Return width and height of WIDTHxHEIGHT."""
-    sides = text.split("x")
-    if len(sides) != 2 or not all(side.isdigit() and int(side) for side in sides):
-        raise UsageError(f"--image-size {text}: expected WIDTHxHEIGHT in pixels, for example 1242x375")
-    return int(sides[0]), int(sides[1])
-
-
-if __name__ == "__main__":
-    try:
-        main()
-    except DataError as error:
-        raise SystemExit(str(error)) from None

@@ -79,7 +79,9 @@ class Mffnet(nn.Module):
         depth = describe(log_fill, certain, sparse_m, kind)
         image = normalise(image.to(kind, memory_format=torch.channels_last))
         raw = self._decode(*self._encode(pad(image), pad(depth)))
-        corrected = _correct(raw, log_fill) if without_gradient(raw) else correct(raw, log_fill, branches=self.training)
+        corrected = (
+            correct_fast(raw, log_fill) if without_gradient(raw) else correct(raw, log_fill, branches=self.training)
+        )
         mixed, scale, *branches = corrected
         return Completed(mixed, (scale + FIRST_SCALE).clamp(SMALLEST_SCALE, LARGEST_SCALE), tuple(branches))
 
@@ -132,7 +134,7 @@ def correct(raw: Tensor, log_fill: Tensor, *, branches: bool) -> tuple[Tensor, .
     return mixed, scale, *before
 
 
-def _correct(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, ...]:
+def correct_fast(raw: Tensor, log_fill: Tensor) -> tuple[Tensor, ...]:
     """Do the same in a kernel, without the branches."""
     from priors.kernels import depth_correction as kernels
 

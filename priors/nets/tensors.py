@@ -8,13 +8,18 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-# numpy has no bfloat16: kernels read numbers as the unsigned integers that store them.
-STORED = {2: (torch.int16, np.uint16), 4: (torch.int32, np.uint32)}
+# numpy has no bfloat16: kernels read numbers as the unsigned integers that store them. They know no float16.
+STORED = {torch.bfloat16: (torch.int16, np.uint16), torch.float32: (torch.int32, np.uint32)}
 
 
 def as_bits(tensor: Tensor) -> npt.NDArray[Any]:
-    """View a dense bfloat16 or float32 tensor as uint16 or uint32, sharing its memory; see kernels/floats.py."""
-    signed, unsigned = STORED[tensor.itemsize]
+    """View a dense bfloat16 or float32 tensor as uint16 or uint32, sharing its memory; see kernels/floats.py.
+
+    Raises TypeError for numbers of another type: their bits would be taken for other numbers.
+    """
+    if tensor.dtype not in STORED:
+        raise TypeError(f"expected bfloat16 or float32 numbers, found {tensor.dtype}")
+    signed, unsigned = STORED[tensor.dtype]
     return tensor.detach().contiguous().view(signed).numpy().view(unsigned)
 
 

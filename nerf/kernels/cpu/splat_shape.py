@@ -1,0 +1,183 @@
+"""A Gaussian's shape in the image, compiled, sixteen at a time: what projecting and its way back both need.
+
+Equals nerf/twin/splat.py, `project`. Vectors and matrices are tuples of lanes, row by row.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from nerf.gaussians.types import LEAST_TURN, MOST_SPREAD_PX
+from nerf.kernels.cpu.lanes import exponential, floats, fma, from_bits, gather, ints, larger, root, smaller
+from nerf.kernels.cpu.splat_lanes import kept, picked
+from priors.machine.compiled import compiled
+
+
+class Lens(NamedTuple):
+    """A camera and how it draws, as the kernels read it; float32."""
+
+    right: tuple[np.float32, np.float32, np.float32]
+    """The camera's x axis in the scene's frame: the first row of R_cam_world."""
+    down: tuple[np.float32, np.float32, np.float32]
+    ahead: tuple[np.float32, np.float32, np.float32]
+    centre_m: tuple[np.float32, np.float32, np.float32]
+    focal: tuple[np.float32, np.float32]
+    """fx and fy, pixels."""
+    middle: tuple[np.float32, np.float32]
+    """cx and cy, pixels."""
+    reach_x: tuple[np.float32, np.float32]
+    """Least and most x / z of a shape: SIDE_REACH."""
+    reach_y: tuple[np.float32, np.float32]
+    low_pass_px2: np.float32
+    least_alpha: np.float32
+    near_m: np.float32
+    cap_m: np.float32
+    compensate: bool
+    size: tuple[int, int]
+    """(height, width), pixels."""
+
+
+@compiled
+def pick(array, columns, column, i):  # type: ignore[no-untyped-def]
+    """Return one column of rows i (lanes) of a flat float32 array."""
+    return from_bits(gather(array, np.int64(column), i * ints(columns)))
+
+
+@compiled
+def dot(a, b):  # type: ignore[no-untyped-def]
+    """Return the product of two vectors."""
+    return fma(a[0], b[0], fma(a[1], b[1], a[2] * b[2]))
+
+
+@compiled
+def cross(a, b):  # type: ignore[no-untyped-def]
+    """Return the cross product of two vectors."""
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+@compiled
+def times(a, scale):  # type: ignore[no-untyped-def]
+    """Return a vector times a number."""
+    return a[0] * scale, a[1] * scale, a[2] * scale
+
+
+@compiled
+def plus(a, b):  # type: ignore[no-untyped-def]
+    """Return the sum of two vectors."""
+    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+
+
+@compiled
+def minus(a, b):  # type: ignore[no-untyped-def]
+    """Return the difference of two vectors."""
+    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+
+
+@compiled
+def divided(a, number):  # type: ignore[no-untyped-def]
+    """Return a vector divided by a number."""
+    return a[0] / number, a[1] / number, a[2] / number
+
+
+@compiled
+def constants(vector):  # type: ignore[no-untyped-def]
+    """Return three numbers, each in all lanes."""
+    return floats(vector[0]), floats(vector[1]), floats(vector[2])
+
+
+@compiled
+def place(means_m, lens, i):  # type: ignore[no-untyped-def]
+    """Return where means are in the camera's frame, metres, and whence they are seen: mean less centre."""
+    c = lens.centre_m
+    away = (
+        pick(means_m, 3, 0, i) - floats(c[0]),
+        pick(means_m, 3, 1, i) - floats(c[1]),
+        pick(means_m, 3, 2, i) - floats(c[2]),
+    )
+    p = dot(constants(lens.right), away), dot(constants(lens.down), away), dot(constants(lens.ahead), away)
+    return p, away
+
+
+@compiled
+def quaternion(rotations, i):  # type: ignore[no-untyped-def]
+    """Return unit quaternions (w, x, y, z) and what they were divided by, inverted: 0 for those that are none."""
+    w, x, y, z = pick(rotations, 4, 0, i), pick(rotations, 4, 1, i), pick(rotations, 4, 2, i), pick(rotations, 4, 3, i)
+    squared = fma(w, w, fma(x, x, fma(y, y, z * z)))
+    least = floats(np.float32(LEAST_TURN))
+    inverse = kept(squared, least, floats(np.float32(1)) / root(picked(squared, least, squared, least)))
+    return (w * inverse, x * inverse, y * inverse, z * inverse), inverse
+
+
+@compiled
+def turned(lens, q):  # type: ignore[no-untyped-def]
+    """Return the Gaussian's unit axes in the camera's frame, (3, 3), an axis a column."""
+    w, x, y, z = q
+    one, two = floats(np.float32(1)), floats(np.float32(2))
+    first = one - two * (y * y + z * z), two * (x * y + w * z), two * (x * z - w * y)  # columns in the scene's frame
+    second = two * (x * y - w * z), one - two * (x * x + z * z), two * (y * z + w * x)
+    third = two * (x * z + w * y), two * (y * z - w * x), one - two * (x * x + y * y)
+    right, down, ahead = constants(lens.right), constants(lens.down), constants(lens.ahead)
+    return (
+        (dot(right, first), dot(right, second), dot(right, third)),
+        (dot(down, first), dot(down, second), dot(down, third)),
+        (dot(ahead, first), dot(ahead, second), dot(ahead, third)),
+    )
+
+
+@compiled
+def scales(log_scales, i):  # type: ignore[no-untyped-def]
+    """Return the standard deviations along the axes, metres."""
+    return (
+        exponential(pick(log_scales, 3, 0, i)),
+        exponential(pick(log_scales, 3, 1, i)),
+        exponential(pick(log_scales, 3, 2, i)),
+    )
+
+
+@compiled
+def scaled(u, s):  # type: ignore[no-untyped-def]
+    """Return a matrix whose columns are multiplied by numbers."""
+    a, b, c = u
+    return (
+        (a[0] * s[0], a[1] * s[1], a[2] * s[2]),
+        (b[0] * s[0], b[1] * s[1], b[2] * s[2]),
+        (c[0] * s[0], c[1] * s[1], c[2] * s[2]),
+    )
+
+
+@compiled
+def slopes(lens, p):  # type: ignore[no-untyped-def]
+    """Return x / z and y / z held to where a shape is taken, and both as they are."""
+    x, y = p[0] / p[2], p[1] / p[2]
+    tx = smaller(larger(x, floats(lens.reach_x[0])), floats(lens.reach_x[1]))
+    ty = smaller(larger(y, floats(lens.reach_y[0])), floats(lens.reach_y[1]))
+    return tx, ty, x, y
+
+
+@compiled
+def rows(lens, z, tx, ty, axes):  # type: ignore[no-untyped-def]
+    """Return the rows of J V, pixels, and by how much they were made smaller; V: axes in the camera's frame."""
+    fx, fy = floats(lens.focal[0]) / z, floats(lens.focal[1]) / z
+    a, b, c = axes
+    first = (a[0] - tx * c[0]) * fx, (a[1] - tx * c[1]) * fx, (a[2] - tx * c[2]) * fx
+    second = (b[0] - ty * c[0]) * fy, (b[1] - ty * c[1]) * fy, (b[2] - ty * c[2]) * fy
+    spread = root(larger(dot(first, first), dot(second, second)))
+    shrink = smaller(floats(np.float32(MOST_SPREAD_PX)) / spread, floats(np.float32(1)))
+    return times(first, shrink), times(second, shrink), shrink
+
+
+@compiled
+def covariance(lens, first, second):  # type: ignore[no-untyped-def]
+    """Return the image's variances xx and yy with the low pass, the covariance, both determinants, and the normal."""
+    low = floats(lens.low_pass_px2)
+    a, b, c = dot(first, first), dot(first, second), dot(second, second)
+    normal = cross(first, second)
+    area = dot(normal, normal)  # Cauchy-Binet: a c - b^2 without cancellation
+    return a + low, b, c + low, area, fma(low, a + c + low, area), normal
+
+
+@compiled
+def logistic(x):  # type: ignore[no-untyped-def]
+    """Return 1 / (1 + e^-x)."""
+    one = floats(np.float32(1))
+    return one / (one + exponential(floats(np.float32(0)) - x))
