@@ -14,6 +14,7 @@ from cli.nerf.sources import open_sources
 from nerf import checkpoint, fields
 from nerf.checkpoint import Spent
 from nerf.config import Align, FitConfig, ModelConfig
+from nerf.gaussians.config import GaussianConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.quality import AUTO, SECONDS, Quality, family_of
@@ -77,6 +78,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
     """The run's folder; default: runs/<drive or sequence>-<field>-<views>-<loss>-<prior>."""
     losses: tyro.conf.OmitArgPrefixes[LossConfig] = field(default_factory=LossConfig)
     sampler: tyro.conf.OmitArgPrefixes[SamplerConfig] = field(default_factory=SamplerConfig)
+    gaussians: tyro.conf.OmitArgPrefixes[GaussianConfig] = field(default_factory=GaussianConfig)
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
     field: FieldName | Literal["auto"] = AUTO
@@ -99,7 +101,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
         """Return what decides the fit's outcome."""
         asked = SECONDS[self.quality] if self.time is None else seconds(self.time)
         timed = None if self.steps is not None else asked
-        model = ModelConfig(family=self.family, width=self.width, sampler=self.sampler)
+        model = ModelConfig(self.family, width=self.width, sampler=self.sampler, gaussians=self.gaussians)
         made = FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
         return replace(made, align=self.align)
 
@@ -117,6 +119,8 @@ def run(arguments: list[str]) -> int:
 def _fit(args: FitArguments, typed: list[str]) -> int:
     if args.prior is None and not fields.is_trained(args.family):
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
+    for setting, value in fields.unread(args.config()).items():
+        raise UsageError(f"{f'{setting} {value}'.strip()}: --field {args.family} does not read it: leave it out")
     with busy("looking at the drive and its priors"):
         drive, prior = open_sources(args, args.prior, typed)
     scene, config, folder = args.scene(), args.config(), args.run
