@@ -1,4 +1,4 @@
-"""What `priors stress` and `nerf stress` share: arguments, and what is done with the table."""
+"""What commands that stress routines share: arguments, and what is done with the table."""
 
 import json
 import shlex
@@ -13,8 +13,7 @@ from cli.written import expect_file
 from priors.errors import UsageError
 from priors.stress import modes, page
 from priors.stress.inputs import Input
-from priors.stress.routine import Routine
-from priors.stress.routines import named
+from priors.stress.routine import Routine, named
 from priors.stress.table import Table
 from priors.stress.table import run as make
 

@@ -76,7 +76,7 @@ def test_heavy_packages_are_imported_where_they_are_used() -> None:
 
 def test_depth_maps_need_no_torch() -> None:
     """What needs no network works without torch, and no method imports it before a network is asked for."""
-    import_all("open3d torch " + LAZY, "priors eval", r"\.(nets|adapt|learn)\.|_(network|supervision)$")
+    import_all("open3d torch " + LAZY, "priors eval", r"\.(nets|adapt|learn|stress)\.|_(network|supervision)$")
 
 
 def imported_by_help(program: str, commands: Iterable[str]) -> dict[str, set[str]]:

@@ -18,8 +18,8 @@ from priors.stress import page, tolerances
 from priors.stress.inputs import INPUTS, USUAL, Given
 from priors.stress.measure import measure
 from priors.stress.precision import BF16, FP16, FP32, PRECISIONS
-from priors.stress.routine import Case, Gradient, Routine
-from priors.stress.routines import ROUTINES, named
+from priors.stress.routine import Case, Gradient, Routine, named
+from priors.stress.routines import ROUTINES
 from priors.stress.table import Table, cell, run
 
 pytestmark = pytest.mark.stress

@@ -1,9 +1,10 @@
 """Routines under stress: what a row of the table runs, and what it is compared with."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
+from priors.errors import UsageError
 from priors.stress.inputs import Given
 from priors.stress.precision import Floats
 from priors.stress.tolerances import PrecisionName
@@ -57,6 +58,18 @@ class Routine:
     """Why an input makes no sense here, by its name."""
     other_types: Mapping[PrecisionName, str] = field(default_factory=dict)
     """Why a precision makes no sense here, by its name."""
+
+
+def named(routines: Sequence[Routine], names: Sequence[str]) -> tuple[Routine, ...]:
+    """Return the routines whose names contain one of these words, all of them without any; in the table's order.
+
+    Raises UsageError for a word that is in none, with the names.
+    """
+    for name in names:
+        if not name or not any(name.lower() in routine.name.lower() for routine in routines):
+            raise UsageError(f"--only {name}: no routine has that in its name: {', '.join(r.name for r in routines)}")
+    chosen = [r for r in routines if not names or any(name.lower() in r.name.lower() for name in names)]
+    return tuple(chosen)
 
 
 def without(*names: str, why: str) -> dict[str, str]:

@@ -35,10 +35,10 @@ from nerf.kernels.cpu.splat_pixels import Packed
 from nerf.kernels.cpu.splat_project import CHUNK, RECORD, REGION, Lists, Scene, View
 from nerf.kernels.cpu.splat_region import MOST_SPANS, TILES, Regions, Scratch
 from nerf.kernels.cpu.splat_shape import Lens
+from nerf.kernels.cpu.splat_train import adam as adam
+from nerf.kernels.cpu.splat_train import colour_loss as colour_loss
 from nerf.kernels.cpu.splat_unblend import Wanted
 from nerf.kernels.cpu.splat_unproject import Derivatives
-from nerf.kernels.plain.splat import adam as adam
-from nerf.kernels.plain.splat import colour_loss as colour_loss
 from priors.machine import threads
 
 
