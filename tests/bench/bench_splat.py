@@ -3,9 +3,9 @@
     python tests/bench/bench_splat.py [--gaussians 105000] [--size 397x120] [--degree 0] [--rounds 15]
     ROADPRIOR_CPU=avx2 python tests/bench/bench_splat.py
 
-The scene is made up: discs as large as 1.2 pixels of the view, 3 to 60 m away, half of them behind the camera. The least
-of several rounds is told, in processor time: what else the machine does counts little. The twin draws a hundredth of
-the Gaussians in a sixteenth of the image. Errors are those of the picture and the gradients against the twin.
+The scene is made up: discs as large as 1.2 pixels of the view, 3 to 60 m away, half of them behind the camera. The
+least of several rounds is told, in processor time: what else the machine does counts little. The twin draws a hundredth
+of the Gaussians in a sixteenth of the image. Errors are those of the picture and the gradients against the twin.
 """
 
 import argparse
