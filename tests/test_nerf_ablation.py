@@ -79,7 +79,7 @@ def test_the_table_has_means_over_seeds_and_no_fit_that_failed() -> None:
     failed = curve(OFF + "carve", 0, [])
     failed.error = "it failed"
     laid = ablation.lay_out([*curves, failed])
-    assert laid.names == [("ngp", "stereo", "sparse", "guide")]
+    assert laid.names == [("ngp", "stereo-abcdef0123", "sparse", "guide")]
     assert laid.cells[0][:2] == ["2.00", "-0.50"]
 
 
