@@ -244,9 +244,9 @@ def spread_over_regions(view: View, size: tuple[int, int], lists: Lists, first: 
         for row in range(chunk * CHUNK, chunk * CHUNK + view.found[chunk]):
             lists.gaussians[place] = view.gaussian[row]
             lists.copies[place] = copy
-            place += 1
             left, right, top, bottom = box(view.boxes, row)
             lists.radii_px[place] = np.float32(0.5) * max(right - left, bottom - top)
+            place += 1
             for v in range(top // REGION, bottom // REGION + 1):
                 for u in range(left // REGION, right // REGION + 1):
                     at = chunk * regions + v * across + u
