@@ -8,9 +8,11 @@ import tyro
 
 from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import busy, err, fit_progress, out, progress
+from cli.durations import seconds
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
 from nerf import checkpoint, fields
+from nerf.asked import RunConfig
 from nerf.checkpoint import Spent
 from nerf.config import Align, FitConfig, ModelConfig
 from nerf.gaussians.config import GaussianConfig
@@ -18,12 +20,12 @@ from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.quality import AUTO, SECONDS, Quality, family_of
 from nerf.rate import Rate
-from nerf.run import RUNS, Run, RunConfig, begin
+from nerf.run import RUNS, Run, begin
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.split import SPARSE_STEP
 from priors import origin
-from priors.errors import UsageError, expect
+from priors.errors import UsageError
 from priors.filters import Filters
 from priors.selection import select
 from priors.types import Drive
@@ -37,8 +39,6 @@ examples:
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --field nerfpp --steps 3000 --run runs/npp
 """
-UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
-MOST_S = 365 * 24 * 3600.0
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
     FieldName = str
@@ -190,13 +190,3 @@ def _budget(fit: FitConfig, before: Spent) -> str:
     budget = f"{fit.steps} steps" if fit.steps is not None else f"{fit.seconds:g} s"
     left = before.step and fit.progress(before.step, before.elapsed_s) < 1
     return budget + (f", goes on from step {before.step}, {before.elapsed_s:.0f} s" if left else "")
-
-
-def seconds(text: str, flag: str = "--time") -> float:
-    """Turn 90s, 5m or 1h into seconds; `flag` is named where it cannot be done."""
-    try:
-        value = float(text[:-1]) * UNITS_S[text[-1]] if text[-1:] in UNITS_S else float(text)
-    except ValueError as error:
-        raise UsageError(f"{flag} {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
-    expect(0 < value <= MOST_S, flag, text, "more than 0, and less than a year")
-    return value
