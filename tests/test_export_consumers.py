@@ -16,7 +16,7 @@ from priors.geometry import invert
 from priors.types import Drive
 
 pytestmark = pytest.mark.datasets
-FUSION = FusionConfig(voxel_m=0.5)
+FUSION = FusionConfig(voxel_m=0.5, views=1)
 
 
 @pytest.fixture

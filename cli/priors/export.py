@@ -30,7 +30,7 @@ examples:
   priors export cache/DRIVE/stereo-KEY --to colmap --voxel-m 0.2
   priors export cache/DRIVE/stereo-KEY --to 3dgs --sky mask       graphdeco's trainer, with inverse depth
   priors export cache/DRIVE/stereo-KEY --to kitti --out mine.zip  a submission: depth or stereo
-  priors export cache/DRIVE/stereo-KEY --to ply --frames 5:17 --confidence 0.8 --views 2
+  priors export cache/DRIVE/stereo-KEY --to ply --frames 5:17 --confidence 0.5 --views 3
   priors export --to onnx --net cfnet-s --image-size 1242x375
 """
 CACHE = Path("cache")

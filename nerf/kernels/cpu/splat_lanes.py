@@ -81,6 +81,29 @@ def which(typing: Any, a: Any, least: Any) -> Any:
 
 
 @intrinsic
+def low_bytes(typing: Any, value: Any) -> Any:
+    """Return the low bytes of the first 8 ints, the first the lowest."""
+
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        small = builder.trunc(args[0], ir.VectorType(ir.IntType(8), WIDTH))
+        first = ir.Constant(ir.VectorType(_I32, 8), list(range(8)))
+        return builder.bitcast(builder.shuffle_vector(small, small, first), ir.IntType(64))
+
+    return types.uint64(Ints), gen
+
+
+@intrinsic
+def last_bit(typing: Any, value: Any) -> Any:
+    """Return the place of the lowest bit of a word that is not 0."""
+
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        known = ir.Constant(ir.IntType(1), 1)
+        return _call(builder, "llvm.cttz.i64", ir.IntType(64), [args[0], known])
+
+    return types.int64(types.uint64), gen
+
+
+@intrinsic
 def load_some(typing: Any, array: Any, index: Any, count: Any) -> Any:
     """Return at most 16 float32 of a flat array, from an index on; the other lanes are 0, and not read."""
 
