@@ -1,6 +1,7 @@
 """Rows of the table: every loss and its gradient."""
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -22,7 +23,7 @@ from priors.stress.routine import FLOAT32_ONLY, NO_POSES, Case, Gradient, Output
 Kind = Literal["mse", "l1", "kl", "urf"]
 DEEPEST = 1e5
 """Optical depth of a wall."""
-FULL = {"depth_weight": 0.7, "distortion": 0.3, "opacity": 0.2, "sky_opacity": 0.1, "trim": 0.0}
+FULL = LossConfig(depth_weight=0.7, distortion=0.3, opacity=0.2, sky_opacity=0.1, trim=0.0)
 
 
 def whole_loss(kind: Kind) -> Callable[[Given], Case]:
@@ -32,7 +33,7 @@ def whole_loss(kind: Kind) -> Callable[[Given], Case]:
         rays = packed(given)
         at = {"sigma": densities(given, rays), "rgb": given.plain(0.05, 1, (rays.used, 3))}
         batch = _batch(given, rays)
-        config = LossConfig(loss=kind, **FULL)
+        config = replace(FULL, loss=kind)
         ours = tensor(rays.padded(at["sigma"])), tensor(rays.padded(at["rgb"])), torch.full((rays.rays, 3), 0.5)
         kernels = kernels_for(CPU).render
 
@@ -76,8 +77,10 @@ def _batch(given: Given, rays: Packed) -> Rays:
     trust, sky = given.random.uniform(0.2, 1, count), (given.random.random(count) < 0.3) * (depth_m == 0)
     directions = np.stack([np.sqrt(rays.norms.double().numpy() ** 2 - 1), np.zeros(count), np.ones(count)], axis=1)
     rgb = given.random.uniform(0, 1, (count, 3))
-    tensors = (tensor(x) for x in (np.zeros((count, 3)), directions, rgb, depth_m, trust))
-    return Rays(*tensors, sky=tensor(sky.astype(np.float64)))
+    known = tensor(depth_m), tensor(trust)
+    return Rays(
+        tensor(np.zeros((count, 3))), tensor(directions), tensor(rgb), *known, sky=tensor(sky.astype(np.float64))
+    )
 
 
 def _parts(kind: Kind, rays: Packed, batch: Rays, at: Mapping[str, Floats]) -> dict[str, Tensor]:
@@ -85,7 +88,7 @@ def _parts(kind: Kind, rays: Packed, batch: Rays, at: Mapping[str, Floats]) -> d
     assert batch.rgb is not None and batch.depth_m is not None and batch.weight is not None and batch.sky is not None
     sigma, rgb = wide(rays.padded(at["sigma"])), wide(rays.padded(at["rgb"]))
     made = twin.render(rays.wide, sigma, rgb, torch.full((rays.rays, 3), 0.5, dtype=torch.float64))
-    config = LossConfig(loss=kind, **FULL)
+    config = replace(FULL, loss=kind)
     depth_m = batch.depth_m.double()
     deviation_m = (config.sigma_share * depth_m).clamp(min=config.sigma_floor_m)
     target = Target(batch.norms.double(), depth_m, deviation_m)

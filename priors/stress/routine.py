@@ -20,7 +20,7 @@ class Gradient:
     found: Callable[[], Outputs]
     """The routine's gradients by the arguments' names."""
     loss: Callable[[Mapping[str, Floats]], Any]
-    """The function in float64, of arguments by name: a number, or parts (n,) whose sum it is, which lose fewer digits."""
+    """The function in float64, of arguments by name: a number, or parts (n,) whose sum it is, they keep more digits."""
     at: Mapping[str, Floats]
     """The arguments."""
     scale: Mapping[str, float] = field(default_factory=dict)
