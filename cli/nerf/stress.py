@@ -7,8 +7,8 @@ from cli.arguments import parse
 from cli.stress import StressArguments, stress
 from priors.stress.routine import Routine
 
-EXAMPLES = """Run every numerical routine of fields (contraction, encoding, networks, compositing, losses, Adam) on extreme
-inputs, and compare values and gradients with float64. One line a routine; exits 1 where a cell fails.
+EXAMPLES = """Run every numerical routine of fields (contraction, encoding, networks, compositing, losses, samples,
+Adam) on extreme inputs, and compare values and gradients with float64. One line a routine; exits 1 where a cell fails.
 
 examples:
   nerf stress

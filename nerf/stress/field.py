@@ -27,6 +27,8 @@ COUNT, WIDTH, LEVELS, RAYS = 64, 16, 4, 5
 INITIAL = 0.02
 BFLOAT_ONLY: dict[PrecisionName, str] = dict.fromkeys(("fp32", "fp16"), "a field keeps bfloat16 on CPUs")
 SIZES = (8, 32)
+THINNEST = -87.0
+"""Logarithm of a density, of the initial one, below which it is nothing: nerf/kernels/cpu/lanes.py, exponential."""
 
 
 def encoding(given: Given) -> Case:
@@ -92,11 +94,11 @@ def networks(given: Given) -> Case:
 
     def wanted() -> Outputs:
         sigma, rgb = exact(features, plain)
-        return {"log density": torch.log(sigma / INITIAL), "rgb": rgb}
+        return {"log density": torch.log(sigma / INITIAL).clamp(min=THINNEST), "rgb": rgb}
 
     def found() -> Outputs:
         sigma, rgb = kernels.shade(*ours, own, INITIAL)
-        return {"log density": torch.log(sigma / INITIAL), "rgb": rgb}
+        return {"log density": torch.log(sigma / INITIAL).clamp(min=THINNEST), "rgb": rgb}
 
     size = np.where(np.isfinite(logit.numpy()), np.maximum(1, np.abs(logit.numpy())), 1)
     gradient = Gradient(gradients, loss, {"features": features})

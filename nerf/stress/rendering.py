@@ -38,8 +38,9 @@ def compositing(given: Given) -> Case:
         return _results(rendered[0], rays)
 
     def gradients() -> Outputs:
-        pulled = [tensor(pull) for pull in (*pulls[:3], rays.padded(pulls[3]))]
-        given_back = Gradients(*pulled, torch.zeros(len(rays.samples.ray)))
+        by_rgb, by_depth, by_end = (tensor(pull) for pull in pulls[:3])
+        by_weight, by_tau = tensor(rays.padded(pulls[3])), torch.zeros(len(rays.samples.ray))
+        given_back = Gradients(by_rgb, by_depth, by_end, by_weight, by_tau)
         slopes = kernels.backward(rays.samples, *ours, rendered[0], given_back)
         return {"sigma": slopes[0][: rays.used], "rgb": slopes[1][: rays.used], "sky": slopes[2]}
 
