@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal, TypeAlias
 
+from nerf.gaussians.config import GaussianConfig
 from nerf.losses import LossConfig
 from nerf.optimise import OptimiserConfig
 from nerf.quality import BEST
@@ -21,7 +22,7 @@ class ModelConfig:
     """What is trained."""
 
     family: str = BEST
-    """Which family of fields: ngp, mip360, nerfpp, warp, or one of yours."""
+    """Which family of fields: ngp, mip360, nerfpp, splat, warp, or one of yours."""
     log2_size: int = 17
     """Rows of the hash grid's levels, as a power of two."""
     finest: int = 2048
@@ -29,6 +30,7 @@ class ModelConfig:
     width: int = 64
     """Neurons of the hidden layers."""
     sampler: SamplerConfig = field(default_factory=SamplerConfig)
+    gaussians: GaussianConfig = field(default_factory=GaussianConfig)
 
     def __post_init__(self) -> None:
         expect(4 <= self.log2_size <= 24, "log2_size", self.log2_size, "4 to 24")

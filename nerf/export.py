@@ -1,4 +1,4 @@
-"""Export: a coloured point cloud, and a mesh through open3d.
+"""Export: a coloured point cloud, a mesh through open3d, and the Gaussians of a field that has them.
 
 Both are made in float32 near the path and written in the drive's own frame: where that is far from its zero, an origin
 is taken off the poses and put back in float64 (priors/origin.py).
@@ -14,6 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.image import as_uint8
+from nerf.gaussians import ply
+from nerf.model import HoldsGaussians, Model
+from nerf.placed import PlacedModel
 from nerf.types import OPAQUE, Render, RenderedView
 from priors import origin
 from priors.errors import DataError
@@ -125,6 +128,23 @@ def write_mesh(
         raise _nothing(path, "surface", len(T_world_cam), config)
     triangles.write_triangles(path, mesh)
     return len(mesh.faces)
+
+
+def write_splats(path: Path, model: Model) -> int:
+    """Write a field's Gaussians as .ply (nerf/gaussians/ply.py); returns how many.
+
+    Raises:
+        DataError: the path does not end in .ply, or the field is of another kind.
+    """
+    inner, origin_m = (model.model, model.origin_m) if isinstance(model, PlacedModel) else (model, origin.NONE)
+    if not isinstance(inner, HoldsGaussians):
+        raise DataError(
+            f"{path}: not written: a {inner.config.family} field has no Gaussians: fit one with --field splat, or "
+            "choose --kind cloud or mesh"
+        )
+    gaussians = inner.splats()
+    ply.write(path, gaussians, origin_m)
+    return len(gaussians)
 
 
 def _nothing(path: Path, what: str, views: int, config: CloudConfig) -> DataError:

@@ -99,9 +99,11 @@ class Field:
         self._forward = _Forward(u, table, footprint, features, None, None, count)
         return self.mlp.density(features)[:count]
 
-    def density_backward(self, d_sigma: Tensor) -> None:
-        """Set all gradients from that of the last `density_forward`, (m,)."""
+    def density_backward(self, d_sigma: Tensor, kept: Tensor | None = None) -> None:
+        """Set all gradients from that of the last `density_forward`, (m,); `kept` as in `backward`."""
         last = self._last(d_sigma)
+        if kept is not None:
+            last, d_sigma = self._part(last, kept), d_sigma[kept]
         d_features = self.mlp.density_backward(last.features, _pad(d_sigma, len(last.u)))
         self.grid.backward(last.u, last.table, last.footprint, d_features)
 
@@ -120,9 +122,10 @@ class Field:
 
     def _basis(self, units: Tensor) -> Tensor:
         """Return the harmonics (r, 16) of directions (r, 3); those of the last call where it had the same tensor."""
-        if self._seen is None or self._seen[0] is not units:
-            self._seen = units, harmonics(units)
-        return self._seen[1]
+        seen = self._seen  # parts of a view are rendered side by side
+        if seen is None or seen[0] is not units:
+            self._seen = seen = units, harmonics(units)
+        return seen[1]
 
     def _part(self, last: _Forward, kept: Tensor) -> _Forward:
         """Return what the backward pass needs of some samples (k,), padded."""

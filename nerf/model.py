@@ -10,6 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
+from nerf.gaussians.types import Gaussians
 from nerf.scene import Scene
 from nerf.types import RenderedView
 from priors.types import Camera, Matrix
@@ -79,8 +80,19 @@ class GoesOn(Protocol):
         """Make a model of a scene that is ready to load a checkpoint with this record, and to train on."""
 
 
+@runtime_checkable
+class HoldsGaussians(Protocol):
+    """A model that is made of Gaussians, as other programs show them."""
+
+    def splats(self) -> Gaussians:
+        """Return all that it shows, the sky too, as Gaussians of the scene's frame."""
+
+
 class Family(Protocol):
     """What a file in nerf/fields/ offers as FAMILY.
+
+    `unread`, where a family has it, names the settings of a fit that do nothing in it, dotted: "model.width", or all of
+    "model.sampler". `nerf fit` refuses their flags.
 
     A family whose models learn nothing says so: `trained = False`. Its models have no parameters, a fit makes them at
     once, and a study makes them once a prior, whatever the losses and seeds are.

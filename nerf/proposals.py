@@ -13,6 +13,7 @@ from nerf.field import Field, FieldConfig
 from nerf.kernels import kernels_for
 from nerf.losses import interlevel
 from nerf.mlp import MLPConfig
+from nerf.roulette import Wheel
 from nerf.sample import Sampler, SamplerConfig, guidable
 from nerf.types import Gradients, GridConfig, Histogram, Key, Rays, Rendered, Samples
 
@@ -69,7 +70,7 @@ class Proposals:
         anneal = ANNEAL_SLOPE * share / ((ANNEAL_SLOPE - 1) * share + 1)
         rounds: list[Round] = []
         is_guided = guided(rays, config, key)
-        most, each = _last_counts(config, is_guided)
+        most, each = _last_counts(config, is_guided, shown=key is None)
         counts = [(count, None) for count in self.counts[1:]]
         samples = self.sampler.march(rays, self.counts[0], key)
         for proposal, (count, of_each) in zip(self.fields, [*counts, (most, each)], strict=True):
@@ -85,11 +86,11 @@ class Proposals:
         return samples, rounds
 
     def backward(
-        self, rounds: list[Round], samples: Samples, rendered: Rendered, share: Tensor | None = None
+        self, rounds: list[Round], samples: Samples, rendered: Rendered, share: Tensor | None, wheel: Wheel
     ) -> Tensor:
         """Set the proposals' gradients, by the weights of the field's samples; returns the last interlevel loss.
 
-        `share` (r,): of the rays in the mean; None: 1 / r.
+        `share` (r,): of the rays in the mean; None: 1 / r. `wheel`: which samples go through the backward pass.
         """
         value = rendered.rgb.new_zeros(())
         for proposal, each in zip(self.fields, rounds, strict=True):
@@ -97,7 +98,7 @@ class Proposals:
             gradients = replace(Gradients.zeros(each.rendered), weights=d_weights)
             given = each.samples, each.sigma, *_colourless(each.sigma, len(each.rendered.rgb))
             d_sigma, _, _ = self._renderer.backward(*given, each.rendered, gradients)
-            proposal.density_backward(d_sigma)
+            proposal.density_backward(*wheel.thinned(d_sigma, (d_sigma * each.sigma).abs()))
         return value
 
 
@@ -108,9 +109,14 @@ def guided(rays: Rays, config: SamplerConfig, key: Key | None) -> Tensor | None:
     return guidable(rays.depth_m, config.unguided, key)
 
 
-def _last_counts(config: SamplerConfig, is_guided: Tensor | None) -> tuple[int, Tensor | None]:
-    """Return how many samples rays get after their proposals: at most, and each (r,) where they differ."""
+def _last_counts(config: SamplerConfig, is_guided: Tensor | None, shown: bool) -> tuple[int, Tensor | None]:
+    """Return how many samples rays get after their proposals: at most, and each (r,) where they differ.
+
+    `shown`: views are rendered.
+    """
     others = config.count if config.proposed is None else config.proposed
+    if shown and config.render_proposed is not None:
+        others = config.render_proposed
     if is_guided is None or others == config.count:
         return others, None
     return max(config.count, others), torch.where(is_guided, config.count, others)

@@ -3,14 +3,43 @@
 What is kept with probability p counts 1 / p, so that sums over what is kept are right on average.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 import torch
 from torch import Tensor
 
 from nerf.types import Key
 
-SAMPLES, RAYS = 4, 5
-"""Streams of random numbers: of samples in the backward pass, of rays."""
+SAMPLES, RAYS, PROPOSED = 4, 5, 6
+"""Streams of random numbers: of samples in the backward pass, of rays, of the proposals' samples."""
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """Chooses which of a step's values go on."""
+
+    least: float
+    """Probability of the least ones; 1: all go."""
+    key: Key
+    """Seed and step."""
+    stream: int
+    """Stream of random numbers."""
+
+    def thinned(self, values: Tensor, weight: Tensor) -> tuple[Tensor, Tensor | None]:
+        """Return values (n,), those that are kept grown, and the places (k,) of the kept ones; None: all.
+
+        weight (n,): how much each matters. What weighs nothing is not kept.
+        """
+        if self.least == 1:
+            return values, None
+        weighs = torch.nonzero(weight > 0).view(-1)
+        chance = chances(weight[weighs], self.least) if len(weighs) else weight[:0]
+        spun = spin(chance, self.key, self.stream)
+        kept = weighs[spun]
+        grown = values.clone()
+        grown[kept] /= chance[spun]
+        return grown, kept
 
 
 def chances(weight: Tensor, least: float) -> Tensor:

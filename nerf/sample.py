@@ -44,6 +44,9 @@ class SamplerConfig:
     """Candidates of a ray without a prior; those in empty cells are dropped."""
     render: int = 256
     """Candidates of a ray when views are rendered."""
+    render_proposed: int | None = 16
+    """Samples of a rendered ray after its proposals, which have learned by then where surfaces are; none: as many as
+    `proposed`."""
     guide: bool = True
     """Put a ray's samples around its prior depth."""
     carve: bool = True
@@ -65,7 +68,8 @@ class SamplerConfig:
     roulette_samples: float = 0.1
     """Least probability with which a training sample goes through the backward pass: those that carry little of the
     gradient go rarely, and then count for more; 1: all go."""
-
+    roulette_proposals: float = 0.1
+    """The same for the samples of the proposals; 1: all go."""
     roulette_rays: float = 1.0
     """Least probability with which a drawn ray is trained on, for example 0.25: those of image parts that are learned
     already go rarely, and then count for more; 1: all go."""
@@ -73,10 +77,12 @@ class SamplerConfig:
     BEFORE: ClassVar[Mapping[str, Any]] = {
         "count": 32,
         "proposed": None,
+        "render_proposed": None,
         "free": 64,
         "unguided_later": 0.0,
         "terminate": 0.0,
         "roulette_samples": 1.0,
+        "roulette_proposals": 1.0,
         "carve_sky": False,
     }
 
@@ -85,12 +91,13 @@ class SamplerConfig:
         expect_between(2, self.proposed, MOST_SAMPLES, "--proposed")
         expect_between(1, self.free, MOST_SAMPLES, "--free")
         expect_between(1, self.render, MOST_SAMPLES, "--render")
+        expect_between(2, self.render_proposed, MOST_SAMPLES, "--render-proposed")
         expect(0 < self.reach < np.inf, "--reach", self.reach, "more than 0, a share of the depth")
         for name in ("unguided", "unguided_later"):
             share = getattr(self, name)
             expect(0 <= share <= 1, f"--{name.replace('_', '-')}", share, "a share from 0 to 1")
         expect(0 <= self.terminate < 0.1, "--terminate", self.terminate, "a transmittance from 0 to less than 0.1")
-        for name in ("roulette_samples", "roulette_rays"):
+        for name in ("roulette_samples", "roulette_proposals", "roulette_rays"):
             least = getattr(self, name)
             expect(0 < least <= 1, f"--{name.replace('_', '-')}", least, "a probability above 0, up to 1")
         expect(0 <= self.trust <= 1, "--trust", self.trust, "a confidence from 0 to 1")

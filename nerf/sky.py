@@ -35,9 +35,9 @@ class Sky:
 
     def forward(self, units: Tensor) -> Tensor:
         """Return colours (r, 3) in [0, 1] of unit directions (r, 3)."""
-        self._units = units
-        self._rgb = torch.sigmoid(self._kernels.look(self.texels, units, self.config.sizes))
-        return self._rgb
+        rgb = torch.sigmoid(self._kernels.look(self.texels, units, self.config.sizes))
+        self._units, self._rgb = units, rgb
+        return rgb
 
     def backward(self, d_rgb: Tensor) -> None:
         """Set the texels' gradient from that of the last `forward`'s colours, (r, 3)."""

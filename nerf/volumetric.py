@@ -24,6 +24,7 @@ from nerf.model import StepResult
 from nerf.occupancy import Occupancy
 from nerf.optimise import Optimiser
 from nerf.proposals import Proposals, Round
+from nerf.roulette import Wheel
 from nerf.sample import Sampler
 from nerf.scene import Scene, view_rays
 from nerf.sky import Sky, SkyConfig
@@ -61,6 +62,7 @@ class VolumetricFamily:
     distortion: float = 1.0
     """How much more the distortion loss weighs than usual."""
 
+    unread: ClassVar[tuple[str, ...]] = ("model.gaussians",)
     aligns: ClassVar[bool] = True
     """A prior's scales and shifts can be learned with the field."""
 
@@ -133,12 +135,13 @@ class VolumetricModel:
             pixels, share = self.converged.spin(pixels, self.config.sampler.roulette_rays, key)
         rays = replace(scene.rays(*pixels), share=share).to(self.device)
         rules = replace(config.losses, distortion=config.losses.distortion * self.family.distortion)
-        own, frame = rays, torch.from_numpy(pixels.frame).to(self.device)
+        aligned = rays
         if self.alignment is not None:
-            rays = self.alignment.applied(frame, own)
-        batch = self.backward(rays, rules, key, progress)
+            frame = torch.from_numpy(pixels.frame).to(self.device)
+            aligned = self.alignment.applied(frame, rays)
+        batch = self.backward(aligned, rules, key, progress)
         if self.alignment is not None:
-            self.alignment.learn(frame, own, prior_weight(rules, own), batch.rendered)
+            self.alignment.learn(frame, rays, prior_weight(rules, rays), batch.rendered)
         if self.converged is not None:
             self.converged.learn(pixels, batch.each.cpu())
         self._optimiser.step(config.optimiser, progress)
@@ -158,7 +161,8 @@ class VolumetricModel:
         self._learn(samples, sigma, (d_sigma, d_rgb), key)
         self.sky.backward(d_sky)
         if rounds:
-            batch.terms["interlevel"] = self.proposals.backward(rounds, samples, rendered, rays.share)
+            wheel = Wheel(self.config.sampler.roulette_proposals, key, roulette.PROPOSED)
+            batch.terms["interlevel"] = self.proposals.backward(rounds, samples, rendered, rays.share, wheel)
         self.occupancy.observe(samples, sigma)
         return batch
 
@@ -181,7 +185,7 @@ class VolumetricModel:
     def render(self, T_world_cam: Matrix, camera: Camera) -> RenderedView:
         """Render a view, in pieces that fit into memory."""
         rays = view_rays(camera, T_world_cam).to(self.device)
-        pieces = [self.render_rays(_part(rays, first)) for first in range(0, len(rays), RENDER_RAYS)]
+        pieces = self._pieces([_part(rays, first) for first in range(0, len(rays), RENDER_RAYS)])
         height, width = camera.size
 
         def whole(name: str) -> np.ndarray:
@@ -189,6 +193,14 @@ class VolumetricModel:
 
         opacity = 1 - whole("transmittance")[..., 0]
         return RenderedView(whole("rgb"), whole("depth_m")[..., 0], whole("median_m")[..., 0], opacity)
+
+    def _pieces(self, parts: list[Rays]) -> list[Rendered]:
+        """Render parts of a view; on a CPU side by side, so that no core waits while another prepares a part."""
+        if self.device.type != "cpu":
+            return [self.render_rays(part) for part in parts]
+        rendered: dict[int, Rendered] = {}
+        threads.run(len(parts), lambda number: rendered.update({number: self.render_rays(parts[number])}))
+        return [rendered[number] for number in range(len(parts))]
 
     def render_rays(self, rays: Rays) -> Rendered:
         """Render rays without learning."""

@@ -26,8 +26,10 @@ def walk(
         footprint: (m,) the samples' extents in units of u; None: points.
         limit: transmittance below which a ray ends, above 0.
     """
-    sigma, rgb = torch.zeros_like(samples.t), samples.t.new_zeros(len(samples.t), 3)
     at, ends = samples.offsets[:-1], samples.offsets[1:]
+    if not len(units) or (ends - at).max() <= WAVE:  # a single wave
+        return field.forward(samples, units, footprint)
+    sigma, rgb = torch.zeros_like(samples.t), samples.t.new_zeros(len(samples.t), 3)
     optical = torch.zeros(len(units), dtype=torch.float64, device=units.device)
     while True:
         count = torch.where(optical < -math.log(limit), (ends - at).clamp(max=WAVE), 0)

@@ -10,6 +10,7 @@ from typing import Any, ClassVar, Literal, Protocol, Self, TypeAlias
 import numpy as np
 import numpy.typing as npt
 
+from eval.calibration import Tolerance
 from priors.errors import DataError
 
 Image: TypeAlias = npt.NDArray[np.uint8]
@@ -261,6 +262,11 @@ class Method(ABC):
     def measures(self) -> bool:
         """Whether `resolve` measures something in the frame's files, and asks this machine nothing: it is kept."""
         return False
+
+    @property
+    def sure_within(self) -> Tolerance | None:
+        """The error up to which a value is right, where the confidence is the probability of that; None: it is not."""
+        return None
 
     def unread(self) -> Mapping[str, str]:
         """Return the fields that these settings leave without effect, each with the settings that would read it.

@@ -1,6 +1,7 @@
 """What the tests share: the real data beside the checkout, and tiny drives written into a temporary folder."""
 
 import resource
+import shutil
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -92,6 +93,29 @@ def street(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def street_folder(street: Path, tmp_path: Path) -> Path:
     """The same street as a folder of images with truth, sparse maps and poses: the test's own."""
     return write_as_folder(open_drive(street), tmp_path / "own")
+
+
+@pytest.fixture
+def own_street(street: Path, tmp_path: Path) -> Path:
+    """The street that a file's tests share, copied: the test's own, to be damaged."""
+    shutil.copytree(street, tmp_path / "street")
+    return tmp_path / "street"
+
+
+@pytest.fixture(scope="session")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """street/, cache/ with a LiDAR prior, and runs/prior: three steps of `nerf fit` with it."""
+    from nerf_commands import SIZE, nerf
+
+    from priors import build
+    from priors.methods.lidar import Lidar
+
+    folder = tmp_path_factory.mktemp("home")
+    write_street(folder / "street", 10, 7, SIZE)
+    prior = build.prepare(open_drive(folder / "street"), Lidar(), folder=folder / "cache").run().prior
+    run = folder / "runs" / "prior"
+    assert nerf("fit", folder / "street", "--prior", prior.folder, "--steps", 3, "--run", run) == 0
+    return folder
 
 
 FullDisk = Callable[[int], AbstractContextManager[None]]

@@ -20,7 +20,7 @@ def truth_prior(drive: Drive, folder: Path, confident: bool = True) -> Prior:
         "fingerprint": drive.fingerprint(),
         "camera": {"K": camera.K.tolist(), "size": list(camera.size)},
     }
-    prior = cache.create(folder / drive.name / "truth-aa", manifest)
+    prior = cache.load(cache.create(folder / drive.name / "truth-aa", manifest).folder)
     for frame in (drive[index] for index in range(len(drive))):
         depth_m = frame.truth().depth_m
         falling = np.broadcast_to(np.linspace(1, 0.5, depth_m.shape[1], dtype=np.float32), depth_m.shape)

@@ -23,6 +23,11 @@ T_CAM0_VELO = np.array([[0, -1, 0, 0.02], [0, 0, -1, -0.06], [1, 0, 0, -0.3], [0
 T_VELO_IMU = np.array([[1, 0, 0, -0.8], [0, 1, 0, 0.3], [0, 0, 1, -0.8], [0, 0, 0, 1.0]])
 
 
+def drive_folder(street: Path) -> Path:
+    """The one KITTI drive's folder in a street's."""
+    return next(street.glob("*/*_sync"))
+
+
 def scene(size: tuple[int, int] = SIZE, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Left image, right image (grey uint8) and the left view's disparity in px."""
     height, width = size

@@ -13,9 +13,10 @@ from factories import write_folder, write_odometry, write_raw
 from eval.protocol import preset
 from eval.result import Comparison, score
 from priors import cache
-from priors.advice import advise_method, advise_prior, kind
 from priors.cache import Prior
 from priors.drives import open_drive
+from priors.plan.choice import advise_prior, kind
+from priors.plan.way import advise_method
 from priors.sky import sky_mask
 from priors.types import Depth, Drive
 

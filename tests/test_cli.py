@@ -12,6 +12,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from factories import drive_folder
 from installed import PRIORS, fail, priors, stamps, succeed
 
 from priors import codecs
@@ -33,17 +34,6 @@ def built(street: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for method in ("lidar", "completion", "stereo"):
         succeed("build", street, "--method", method, cwd=folder)
     return folder
-
-
-@pytest.fixture
-def copy(street: Path, tmp_path: Path) -> Path:
-    """A street of one's own, to be damaged."""
-    shutil.copytree(street, tmp_path / "street")
-    return tmp_path / "street"
-
-
-def drive_folder(street: Path) -> Path:
-    return next(street.glob("*/*_sync"))
 
 
 def test_all_methods_are_built_and_scored_in_one_table(built: Path) -> None:
@@ -268,10 +258,10 @@ def test_the_drive_and_the_method_may_be_left_out(street: Path, tmp_path: Path) 
     assert done.returncode == 2 and "priors build second --method stereo" in done.stderr
 
 
-def test_a_bad_truth_and_a_moved_drive_cost_no_table(copy: Path, tmp_path: Path) -> None:
+def test_a_bad_truth_and_a_moved_drive_cost_no_table(own_street: Path, tmp_path: Path) -> None:
     for method in ("stereo", "lidar"):
-        succeed("build", copy, "--method", method, "--frames", "0:2", "--cache", "c", cwd=tmp_path)
-    moved = copy.rename(tmp_path / "moved")
+        succeed("build", own_street, "--method", method, "--frames", "0:2", "--cache", "c", cwd=tmp_path)
+    moved = own_street.rename(tmp_path / "moved")
     assert "has the drive moved? Name it: --data FOLDER" in fail("eval", "c", cwd=tmp_path)
     succeed("eval", "c", "--data", moved, cwd=tmp_path)
     paths = {json.loads(path.read_text())["drive"]["path"] for path in (tmp_path / "c").rglob("manifest.json")}

@@ -7,20 +7,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from factories import drive_folder
 from installed import fail, priors, stamps
 
 FRAMES = 6
-
-
-@pytest.fixture
-def copy(street: Path, tmp_path: Path) -> Path:
-    """A street of one's own, to be damaged."""
-    shutil.copytree(street, tmp_path / "street")
-    return tmp_path / "street"
-
-
-def drive_folder(street: Path) -> Path:
-    return next(street.glob("*/*_sync"))
 
 
 def damage_image(drive: Path) -> Path:
@@ -64,9 +54,11 @@ def resized_image(drive: Path) -> Path:
         (nan_pose, "lidar"),
     ],
 )
-def test_a_bad_frame_is_named_and_the_others_are_built(copy: Path, tmp_path: Path, damage: object, method: str) -> None:
-    path = damage(drive_folder(copy))  # type: ignore[operator]
-    done = priors("build", copy, "--method", method, cwd=tmp_path)
+def test_a_bad_frame_is_named_and_the_others_are_built(
+    own_street: Path, tmp_path: Path, damage: object, method: str
+) -> None:
+    path = damage(drive_folder(own_street))  # type: ignore[operator]
+    done = priors("build", own_street, "--method", method, cwd=tmp_path)
     assert done.returncode == 1
     assert path.name in done.stderr
     assert "Traceback" not in done.stderr
@@ -100,9 +92,9 @@ def drop_images(drive: Path) -> str:
 
 
 @pytest.mark.parametrize("damage", [drop_key, drop_calibration, swap_baseline, drop_images])
-def test_a_bad_drive_is_one_line(copy: Path, tmp_path: Path, damage: object) -> None:
-    expected = damage(drive_folder(copy))  # type: ignore[operator]
-    assert expected in fail("build", copy, "--method", "stereo", cwd=tmp_path)
+def test_a_bad_drive_is_one_line(own_street: Path, tmp_path: Path, damage: object) -> None:
+    expected = damage(drive_folder(own_street))  # type: ignore[operator]
+    assert expected in fail("build", own_street, "--method", "stereo", cwd=tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +102,7 @@ def test_a_bad_drive_is_one_line(copy: Path, tmp_path: Path, damage: object) -> 
     [("image_03", "stereo", "image_03"), ("velodyne_points", "lidar", "velodyne")],
 )
 def test_an_input_that_no_frame_has_is_an_error(
-    copy: Path, tmp_path: Path, folder: str, method: str, expected: str
+    own_street: Path, tmp_path: Path, folder: str, method: str, expected: str
 ) -> None:
-    shutil.rmtree(drive_folder(copy) / folder)
-    assert expected in fail("build", copy, "--method", method, cwd=tmp_path)
+    shutil.rmtree(drive_folder(own_street) / folder)
+    assert expected in fail("build", own_street, "--method", method, cwd=tmp_path)

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from bench.bench_completion import recipe
 from conftest import RealData
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
@@ -15,6 +14,7 @@ from reference import completion as reference
 
 from eval.protocol import preset
 from eval.result import Result, score
+from priors.bench.baselines import fill
 from priors.drives import open_drive
 from priors.errors import DataError
 from priors.kernels import plane_propagation
@@ -131,7 +131,7 @@ def test_plane_is_kept(down: int) -> None:
     got = complete(lines(true_m, down), GREY, CAMERA)
     inner = np.abs(got.depth_m / true_m - 1)[2 * down : -2 * down, 8:-8]
     assert inner.max() < 0.005 * down and np.median(inner) < 0.002
-    morphed = np.abs(recipe(lines(true_m, down)).depth_m / true_m - 1)[2 * down : -2 * down, 8:-8]
+    morphed = np.abs(fill(lines(true_m, down)) / true_m - 1)[2 * down : -2 * down, 8:-8]
     assert np.median(inner) < 0.2 * np.median(morphed)
 
 
@@ -354,7 +354,7 @@ def real_scores(folder: Path, keep: float | None = None) -> dict[str, Result]:
             assert depth.confidence is not None
             depth = depth.keep(depth.confidence > np.quantile(depth.confidence[truth_m > 0], 1 - keep))
         scored["completion"].append((f.id, depth.depth_m, None, truth_m))
-        scored["recipe"].append((f.id, recipe(sparse_m).depth_m, None, truth_m))
+        scored["recipe"].append((f.id, fill(sparse_m), None, truth_m))
     return {name: score(rows, preset("paper"), info={"prior": name}) for name, rows in scored.items()}
 
 

@@ -13,7 +13,8 @@ from priors.errors import DataError
 
 def test_names_are_the_files() -> None:
     assert drives.names() == [
-        "argoverse1", "colmap", "folder", "images", "kitti_odometry", "kitti_raw", "kitti_stereo", "nerfstudio",
+        "argoverse1", "argoverse2", "colmap", "folder", "images", "kitti_360", "kitti_depth", "kitti_object",
+        "kitti_odometry", "kitti_raw", "kitti_stereo", "nerfstudio", "nuscenes",
     ]  # fmt: skip
 
 

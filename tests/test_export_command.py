@@ -76,7 +76,7 @@ def test_a_submission_says_what_is_missing(prior: Prior, capsys: pytest.CaptureF
         ("--to onnx --net cfnet-s --clip 80", "--clip: --to onnx does not read it"),
         ("--to onnx --net cfnet-s --frames 0:2", "--frames: --to onnx does not read it"),
         ("--to ply --net cfnet-s", "--net: --to ply does not read it"),
-        ("--to ply --benchmark depth", "--benchmark: --to ply does not read it"),
+        ("--to ply --benchmark completion", "--benchmark: --to ply does not read it"),
         ("--to ply --out cloud.xyz", "ends in .ply"),
         ("--to gltf", "--to gltf"),
         ("--to ply --frames 9:99", "no frames there"),

@@ -25,7 +25,7 @@ from priors.geometry import project, rays
 from priors.types import Camera, Depth, Drive, Frame
 
 pytestmark = pytest.mark.datasets
-FUSION = FusionConfig(voxel_m=0.5)
+FUSION = FusionConfig(voxel_m=0.5, views=1)
 
 
 @pytest.fixture
@@ -188,12 +188,12 @@ def test_masks_are_black_where_nothing_is_sampled(drive: Drive, prior: Prior, tm
 def test_what_is_there_is_not_written_again(drive: Drive, prior: Prior, tmp_path: Path, full_disk: Callable) -> None:
     out, views = tmp_path / "out", views_of(prior, drive)
     with full_disk(30_000), pytest.raises(OSError, match=r"points3D\.ply"):
-        nerfstudio.write(out, views, NerfstudioConfig(), FusionConfig(voxel_m=0.1))
+        nerfstudio.write(out, views, NerfstudioConfig(), FusionConfig(voxel_m=0.1, views=1))
     assert not (out / "transforms.json").exists() and not (out / "README.txt").exists()
     assert not list(out.glob("**/.*"))
     first = {path: path.stat().st_mtime_ns for path in out.glob("*/*.png")}
     assert len(first) == 2 * len(drive)
-    nerfstudio.write(out, views, NerfstudioConfig(), FusionConfig(voxel_m=0.1))
+    nerfstudio.write(out, views, NerfstudioConfig(), FusionConfig(voxel_m=0.1, views=1))
     assert {path: path.stat().st_mtime_ns for path in first} == first
     assert (out / "README.txt").exists()
 

@@ -81,8 +81,8 @@ def test_depth_is_what_the_cache_holds(tmp_path: Path) -> None:
     drive = open_drive(root)
     prior, out = truth_prior(drive, tmp_path / "cache"), tmp_path / "new" / "mine.zip"
     views = all_views(prior, drive)
-    assert kitti.benchmark_of(views) == "depth"
-    lines = kitti.write(out, views, "depth")
+    assert kitti.benchmark_of(views) == "completion"
+    lines = kitti.write(out, views, "completion")
     for name, codes in members(out).items():
         assert np.array_equal(codes, cv2.imread(str(prior.depth_path(name[:-4])), cv2.IMREAD_UNCHANGED))
     refused = [line.removeprefix("KITTI's server refuses it: ") for line in lines[1:]]
@@ -95,7 +95,7 @@ def test_depth_is_what_the_cache_holds(tmp_path: Path) -> None:
         assert b"metres x 256" in archive.comment
     place.expect_ours(out)
     first = out.read_bytes()
-    kitti.write(out, views, "depth")
+    kitti.write(out, views, "completion")
     assert out.read_bytes() == first
 
 
@@ -121,6 +121,39 @@ def test_what_a_server_refuses_is_told(tmp_path: Path, name: str, codes: np.ndar
     with zipfile.ZipFile(tmp_path / "mine.zip", "w") as archive:
         archive.writestr(name, cv2.imencode(".png", codes)[1].tobytes())
     assert says in kitti.check(tmp_path / "mine.zip", "stereo2015")[1]
+
+
+@pytest.mark.parametrize(
+    ("ids", "camera", "method", "benchmark"),
+    [
+        (["0000000000", "0000000001"], "image_02", "stereo", "completion"),
+        (["0000000000", "0000000001"], "image_02", "mono", "prediction"),
+        (["000000_10", "000001_10"], "image_2", "stereo", "stereo2015"),
+        (["000000_10", "000001_10"], "image_0", "stereo", "stereo2012"),
+        (["000000", "000001"], "colored_0", "mono", "stereo2012"),
+    ],
+)
+def test_the_benchmark_is_told_by_names_camera_and_method(
+    tmp_path: Path, ids: list[str], camera: str, method: str, benchmark: str
+) -> None:
+    class Named(DriveAround):
+        def describe(self) -> dict:
+            return {**self.drive.describe(), "camera": camera}
+
+    own = open_drive(write_folder(tmp_path / "mine", ids))
+    prior = truth_prior(own, tmp_path / "cache")
+    prior.manifest["method"] = method
+    assert kitti.benchmark_of(all_views(prior, Named(own))) == benchmark
+
+
+def test_stereo_2012_lies_in_the_root(pairs: Drive, tmp_path: Path) -> None:
+    views = all_views(truth_prior(pairs, tmp_path / "cache"), pairs)
+    lines = kitti.write(tmp_path / "2012.zip", views, "stereo2012")
+    kitti.write(tmp_path / "2015.zip", views, "stereo2015")
+    older, newer = members(tmp_path / "2012.zip"), members(tmp_path / "2015.zip")
+    assert list(older) == [f"00000{n}_10.png" for n in range(3)]
+    assert all(np.array_equal(codes, newer[f"disp_0/{name}"]) for name, codes in older.items())
+    assert lines[1:] == ["KITTI's server refuses it: 192 of 195 test images are missing"]
 
 
 def test_other_frames_are_no_submission(tmp_path: Path) -> None:

@@ -159,7 +159,7 @@ def test_a_cloud_is_what_loops_make_of_it(tmp_path: Path) -> None:
     for frame_id in own.ids:
         prior.write(frame_id, views.filters(prior.read(frame_id), own[0]), 0.1)
     wanted = by_loops(own, prior, 0.5)
-    cloud = fuse(views_of(prior, own), views.near_poses, FusionConfig(voxel_m=0.5))
+    cloud = fuse(views_of(prior, own), views.near_poses, FusionConfig(voxel_m=0.5, views=1))
     cells = {tuple(np.floor(np.array([p["x"], p["y"], p["z"]]) / 0.5).astype(int).tolist()): p for p in cloud.points}
     assert len(cells) == len(cloud.points)
     alike = cells.keys() & wanted.keys()  # a point on a voxel's face may round to either side
@@ -170,11 +170,15 @@ def test_a_cloud_is_what_loops_make_of_it(tmp_path: Path) -> None:
         assert cells[cell]["views"] == len(seen)
     both = fuse(views_of(prior, own), views.near_poses, FusionConfig(voxel_m=0.5, views=2))
     assert len(both.points) == sum(point["views"] == 2 for point in cloud.points) > 0
+    usual = fuse(views_of(prior, own), views.near_poses, FusionConfig(voxel_m=0.5))
+    assert np.array_equal(usual.points, both.points) and usual.least_views == 2
+    alone = fuse(views_of(prior, own, "0:1"), views.near_poses, FusionConfig(voxel_m=0.5))
+    assert len(alone.points) > 0 and alone.least_views == 1
 
 
 def test_observations_are_the_pixels_that_see_a_voxel(drive: Drive, prior: Prior) -> None:
     views = views_of(prior, drive)
-    cloud = fuse(views, views.near_poses, FusionConfig(voxel_m=0.3), most=500)
+    cloud = fuse(views, views.near_poses, FusionConfig(voxel_m=0.3, views=1), most=500)
     assert len(cloud.points) == 500
     counts = np.zeros(500, int)
     for number, seen in cloud.seen_by.items():
@@ -212,7 +216,7 @@ def test_hashes_are_even() -> None:
 
 def test_a_cloud_without_points_says_what_to_do(drive: Drive, prior: Prior) -> None:
     views = views_of(prior, drive)
-    with pytest.raises(DataError, match=r"no point within 0.1 m .*--reach-m"):
+    with pytest.raises(DataError, match=r"no point within 0.1 m: .*--reach-m"):
         fuse(views, views.near_poses, FusionConfig(reach_m=0.1))
 
 
@@ -249,7 +253,7 @@ def test_settings_that_are_none_are_refused(wrong: dict[str, float]) -> None:
 
 def test_a_full_disk_leaves_no_half_file(drive: Drive, prior: Prior, tmp_path: Path, full_disk: Callable) -> None:
     views = views_of(prior, drive)
-    cloud = fuse(views, views.near_poses, FusionConfig(voxel_m=0.05))
+    cloud = fuse(views, views.near_poses, FusionConfig(voxel_m=0.05, views=1))
     with full_disk(10_000), pytest.raises(OSError, match=r"new\.ply"):
         ply.write_ply(tmp_path / "new.ply", cloud.points)
     assert not list(tmp_path.glob("*new*"))

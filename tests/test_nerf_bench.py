@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -171,6 +171,11 @@ def test_a_curve_is_read_as_it_was_written(tmp_path: Path) -> None:
     ]
     assert math.isnan(read.points[0].metrics["abs_rel"])
     assert load(tmp_path, made.entrant, {"steps": 2}).points == []
+    today = json.loads(json.dumps({"fit": asdict(made.entrant.config)}))
+    then = json.loads(json.dumps(today))
+    del then["fit"]["model"]["gaussians"]
+    made.save(tmp_path, then)
+    assert len(load(tmp_path, made.entrant, today).points) == 2, "made before there was such a setting"
     (tmp_path / NAME).write_text("{")
     assert load(tmp_path, made.entrant, config).points == []
 

@@ -12,70 +12,31 @@ import pytest
 import torch
 from conftest import FullDisk
 from factories import write_folder
+from nerf_commands import ALL, HELD_OUT, SIZE, nerf, prior_of, refused
 from rich.console import Console
 from safetensors.torch import load_file
 
-from cli.nerf import PROGRAM
 from cli.nerf.eval import print_tables
 from eval.typeset import render
 from nerf.page import lay_out
 from nerf.pictures import KEPT, picture_path
 from nerf.report import Report
 from nerf.run import open_run
-from priors import build, codecs
+from priors import codecs
 from priors.drives import open_drive
-from priors.methods.completion import Completion
-from priors.methods.lidar import Lidar
 from priors.street.write import write_street
 
-SIZE = (32, 96)
-HELD_OUT = "0000000009"
 
-
-@pytest.fixture(scope="module")
-def home(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """street/, cache/ with a LiDAR prior, and runs/prior: three steps with it."""
-    folder = tmp_path_factory.mktemp("home")
-    write_street(folder / "street", 10, 7, SIZE)
-    drive = open_drive(folder / "street")
-    prior = build.prepare(drive, Lidar(), folder=folder / "cache").run().prior
-    assert (
-        nerf("fit", folder / "street", "--prior", prior.folder, "--steps", 3, "--run", folder / "runs" / "prior") == 0
-    )
-    return folder
-
-
-ALL = ("--opacity", 0.0, "--agreement", 1e9, "--farthest-m", 1e9)
-"""Of a field that has learned for three steps, every pixel is a point of a cloud."""
-
-
-def nerf(*arguments: object) -> int:
-    return PROGRAM.run([str(argument) for argument in arguments])
-
-
-def refused(capsys: pytest.CaptureFixture[str], *arguments: object) -> str:
-    """Run what must fail; returns its one line."""
-    capsys.readouterr()
-    assert nerf(*arguments) in (1, 2)
-    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("error:")]
-    assert len(lines) == 1
-    return lines[0]
-
-
-def prior_of(home: Path) -> Path:
-    return next((home / "cache").glob("*/lidar-*"))
-
-
-def test_a_fit_leaves_a_scored_run(home: Path) -> None:
-    run = home / "runs" / "prior"
+def test_a_fit_leaves_a_scored_run(fitted: Path) -> None:
+    run = fitted / "runs" / "prior"
     names = {path.name for path in run.iterdir()}
     figures = {"metrics.json", "metrics.jsonl", "depth.json", "renders"}
     assert names == {"config.json", "cameras.json", "checkpoint.safetensors", *figures}
     assert all(picture_path(run / "renders", kind, HELD_OUT).exists() for kind in KEPT)
 
 
-def test_eval_sets_runs_side_by_side(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    run, other = home / "runs" / "prior", home / "others" / "prior"
+def test_eval_sets_runs_side_by_side(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    run, other = fitted / "runs" / "prior", fitted / "others" / "prior"
     shutil.copytree(run, other)
     assert nerf("eval", run, other, run, "--save", tmp_path / "t.md", "--pictures", tmp_path / "pictures") == 0
     heads = [line.split("|")[1].strip() for line in (tmp_path / "t.md").read_text().splitlines() if "prior" in line]
@@ -85,19 +46,19 @@ def test_eval_sets_runs_side_by_side(home: Path, tmp_path: Path, capsys: pytest.
     assert picture.shape[1] > 3 * 450
 
 
-def test_eval_writes_a_report_page(home: Path, tmp_path: Path) -> None:
-    run = home / "runs" / "prior"
+def test_eval_writes_a_report_page(fitted: Path, tmp_path: Path) -> None:
+    run = fitted / "runs" / "prior"
     assert nerf("eval", run, "--save", tmp_path / "new" / "page.html", tmp_path / "t.txt") == 0
     page = (tmp_path / "new" / "page.html").read_text()
     figures = re.findall(r"\d+\.\d{2,}", (tmp_path / "t.txt").read_text().split("paper:")[0])
     assert len(figures) >= 4 and all(f">{figure}</td>" in page for figure in figures)
     assert page.count("data:image/jpeg;base64,") == 2, "one view is held out: its image, and what was rendered"
-    assert "nerf eval" in page and str(prior_of(home).resolve()) in page
+    assert "nerf eval" in page and str(prior_of(fitted).resolve()) in page
     assert "<dt>budget</dt>\n<dd>3 steps</dd>" in page
 
 
-def test_a_report_tells_the_whole_story(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    asked = ["report", home / "runs", "--cache", home / "cache", "--most", 2, "--out", tmp_path / "new" / "a.html"]
+def test_a_report_tells_the_whole_story(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    asked = ["report", fitted / "runs", "--cache", fitted / "cache", "--most", 2, "--out", tmp_path / "new" / "a.html"]
     assert nerf(*asked) == 0
     first = (tmp_path / "new" / "a.html").read_bytes()
     assert f"wrote {tmp_path / 'new' / 'a.html'}, {len(first) / 1e6:.1f} MB" in capsys.readouterr().out
@@ -106,28 +67,29 @@ def test_a_report_tells_the_whole_story(home: Path, tmp_path: Path, capsys: pyte
     assert [title.split(" of ")[0] for title in titles if " of street" in title] == ["Depth priors", "Radiance fields"]
     assert {"Frames", "Held-out views", "What made this page"} <= set(titles)
     assert page.count("data:image/jpeg;base64,") == 2 + 2, "two frames; the view that is held out, and its rendering"
-    metres = next(row for row in Report.load(home / "runs" / "prior" / "metrics.json").frames).figures()["rmse"]
+    metres = next(row for row in Report.load(fitted / "runs" / "prior" / "metrics.json").frames).figures()["rmse"]
     assert f"RMSE {metres:.2f} m" in page
 
 
 def test_a_report_that_cannot_be_written_is_told_before_any_work(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for flag, value in (("--out", "page.pdf"), ("--most", 0), ("--megabytes", "nan"), ("--picture-width", 1)):
-        assert refused(capsys, "report", home / "runs", flag, value).startswith(f"error: {flag} {value}: expected ")
+        assert refused(capsys, "report", fitted / "runs", flag, value).startswith(f"error: {flag} {value}: expected ")
     assert "no runs in it" in refused(capsys, "report", tmp_path)
-    shutil.copytree(home / "cache", tmp_path / "cache", ignore=shutil.ignore_patterns("*.png"))
-    assert "no maps yet" in refused(capsys, "report", home / "runs", "--cache", tmp_path / "cache")
+    shutil.copytree(fitted / "cache", tmp_path / "cache", ignore=shutil.ignore_patterns("*.png"))
+    assert "no maps yet" in refused(capsys, "report", fitted / "runs", "--cache", tmp_path / "cache")
     assert (
-        nerf("report", home / "runs", "--cache", home / "cache", "--megabytes", 0.01, "--out", tmp_path / "a.html") == 0
+        nerf("report", fitted / "runs", "--cache", fitted / "cache", "--megabytes", 0.01, "--out", tmp_path / "a.html")
+        == 0
     )
     assert "pictured frames are left out: they do not fit into --megabytes 0.01" in capsys.readouterr().out
 
 
 def test_runs_of_several_drives_have_a_table_each(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = open_run(home / "runs" / "prior")
+    run = open_run(fitted / "runs" / "prior")
     other = replace(run, source=open_drive(write_folder(tmp_path / "mine")))
     report = Report.load(run.folder / "metrics.json")
     tables = print_tables([run, other, run], [report] * 3)
@@ -136,8 +98,8 @@ def test_runs_of_several_drives_have_a_table_each(
     assert len(re.findall(r"^run +PSNR", capsys.readouterr().out, re.MULTILINE)) == 2
 
 
-def test_in_80_columns_a_table_has_what_people_came_for(home: Path) -> None:
-    run = open_run(home / "runs" / "prior")
+def test_in_80_columns_a_table_has_what_people_came_for(fitted: Path) -> None:
+    run = open_run(fitted / "runs" / "prior")
     laid = lay_out(["ngp-sparse-l1-stereo"], [Report.load(run.folder / "metrics.json")])
     screen = Console(width=80, file=io.StringIO())
     screen.print(render(laid, 80))
@@ -146,20 +108,20 @@ def test_in_80_columns_a_table_has_what_people_came_for(home: Path) -> None:
     assert max(map(len, shown.splitlines())) <= 80
 
 
-def test_new_poses_are_rendered(home: Path, tmp_path: Path) -> None:
-    pose = open_drive(home / "street")[9].T_world_cam
+def test_new_poses_are_rendered(fitted: Path, tmp_path: Path) -> None:
+    pose = open_drive(fitted / "street")[9].T_world_cam
     assert pose is not None
     np.savetxt(tmp_path / "p.txt", [pose[:3].ravel(), pose[:3].ravel()])
-    assert nerf("render", home / "runs" / "prior", "--poses", tmp_path / "p.txt", "--out", tmp_path / "new") == 0
+    assert nerf("render", fitted / "runs" / "prior", "--poses", tmp_path / "p.txt", "--out", tmp_path / "new") == 0
     files = sorted(str(path.relative_to(tmp_path / "new")) for path in (tmp_path / "new").rglob("*.png"))
     assert files == [f"{kind}/00000{i}.png" for kind in ("depth", "depth_colour", "rgb") for i in (0, 1)]
-    own = codecs.read_image(picture_path(home / "runs" / "prior" / "renders", "rgb", HELD_OUT))
+    own = codecs.read_image(picture_path(fitted / "runs" / "prior" / "renders", "rgb", HELD_OUT))
     difference = codecs.read_image(tmp_path / "new" / "rgb" / "000000.png").astype(int) - own
     assert np.abs(difference).max() <= 2, "the same pose, written as text"
 
 
-def test_a_video_and_a_cloud_are_written(home: Path, tmp_path: Path) -> None:
-    run = home / "runs" / "prior"
+def test_a_video_and_a_cloud_are_written(fitted: Path, tmp_path: Path) -> None:
+    run = fitted / "runs" / "prior"
     assert nerf("video", run, "--frames", "2:4", "--steps", 2, "--out", tmp_path / "v.mp4") == 0
     with av.open(str(tmp_path / "v.mp4")) as film:
         assert (film.streams.video[0].codec_context.name, film.streams.video[0].frames) == ("h264", 3)
@@ -168,10 +130,10 @@ def test_a_video_and_a_cloud_are_written(home: Path, tmp_path: Path) -> None:
 
 
 def test_a_run_goes_on_and_says_where_nothing_is_left(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    shutil.copytree(home / "runs" / "prior", tmp_path / "runs" / "prior")
-    fit = ["fit", home / "street", "--prior", prior_of(home), "--run", tmp_path / "runs" / "prior", "--steps"]
+    shutil.copytree(fitted / "runs" / "prior", tmp_path / "runs" / "prior")
+    fit = ["fit", fitted / "street", "--prior", prior_of(fitted), "--run", tmp_path / "runs" / "prior", "--steps"]
     assert nerf(*fit, 3) == 0
     told = capsys.readouterr().err
     assert "trained before, 3 steps" in told and "goes on from" not in told
@@ -180,14 +142,14 @@ def test_a_run_goes_on_and_says_where_nothing_is_left(
     assert "trained before" not in told
     assert re.findall(r"^(\w+)[: ]", told, re.MULTILINE)[:4] == ["run", "views", "field", "training"]
     assert "96x32: 9 of 10 frames train, 1 are held out" in told
-    assert f"field: mip360, guided by {prior_of(home).name}, loss l1; 4 steps, goes on from step 3, " in told
+    assert f"field: mip360, guided by {prior_of(fitted).name}, loss l1; 4 steps, goes on from step 3, " in told
     assert "other settings" in refused(capsys, *fit, 4, "--views", "sparse")
 
 
 def test_a_study_is_found_done_after_eval_and_begins_anew_with_another_budget(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    study = ["study", home / "street", "--priors", "none", "--views", 2, "--out", tmp_path / "study", "--steps"]
+    study = ["study", fitted / "street", "--priors", "none", "--views", 2, "--out", tmp_path / "study", "--steps"]
     run = tmp_path / "study" / "mip360-2-none-seed0"
     assert nerf(*study, 3) == 0
     first = load_file(run / "checkpoint.safetensors")
@@ -203,13 +165,13 @@ def test_a_study_is_found_done_after_eval_and_begins_anew_with_another_budget(
 
 
 def test_priors_that_cannot_be_used_are_refused_in_a_line(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other = tmp_path / "other"
     write_street(other, 10, 8, SIZE)
-    prior, run = prior_of(home), tmp_path / "runs" / "a"
-    assert f"made for {home}" in refused(capsys, "fit", other, "--prior", prior, "--steps", 2, "--run", run)
-    street = ["fit", home / "street", "--steps", 2, "--run", tmp_path / "runs" / "b"]
+    prior, run = prior_of(fitted), tmp_path / "runs" / "a"
+    assert f"made for {fitted}" in refused(capsys, "fit", other, "--prior", prior, "--steps", 2, "--run", run)
+    street = ["fit", fitted / "street", "--steps", 2, "--run", tmp_path / "runs" / "b"]
     few = tmp_path / "few" / prior.name
     shutil.copytree(prior, few)
     for path in [*(few / "depth").glob("000000000[1-9].png")]:
@@ -223,43 +185,8 @@ def test_priors_that_cannot_be_used_are_refused_in_a_line(
     assert "0000000000.png" in refused(capsys, *street, "--prior", few)
 
 
-@pytest.fixture
-def alone(home: Path, tmp_path: Path) -> Path:
-    """The run's folder alone, on a machine that has neither its drive nor its prior."""
-    shutil.copytree(home / "runs" / "prior", tmp_path / "run")
-    config = tmp_path / "run" / "config.json"
-    config.write_text(config.read_text().replace(str(home), "/nowhere"))
-    return tmp_path / "run"
-
-
-def test_a_run_keeps_its_cameras(home: Path, alone: Path) -> None:
-    there, kept = open_run(home / "runs" / "prior").viewpoints("2:5"), open_run(alone).viewpoints("2:5")
-    assert kept.ids == there.ids and len(kept.ids) == 3
-    np.testing.assert_array_equal(kept.T_world_cam, there.T_world_cam)
-    np.testing.assert_array_equal(kept.camera.K, there.camera.K)
-    assert kept.camera.size == there.camera.size == SIZE
-
-
-def test_without_the_drive_a_field_is_shown_all_the_same(home: Path, alone: Path) -> None:
-    np.savetxt(alone / "p.txt", [open_run(alone).viewpoints().T_world_cam[9][:3].ravel()])
-    assert nerf("render", alone, "--poses", alone / "p.txt", "--out", alone / "new") == 0
-    assert nerf("export", alone, "--frames", "9", *ALL) == 0 and (alone / "cloud.ply").exists()
-    shown = codecs.read_image(alone / "new" / "rgb" / "000000.png").astype(int)
-    own = codecs.read_image(picture_path(home / "runs" / "prior" / "renders", "rgb", HELD_OUT))
-    assert np.abs(shown - own).max() <= 2
-
-
-def test_without_the_drive_and_its_cameras_what_is_missing_is_told(
-    alone: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (alone / "cameras.json").unlink()
-    assert "/nowhere" in refused(capsys, "render", alone)
-    (alone / "cameras.json").write_text("{")
-    assert "/nowhere" in refused(capsys, "export", alone)
-
-
-def test_poses_that_jump_are_refused(home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    shutil.copytree(home / "street", tmp_path / "street")
+def test_poses_that_jump_are_refused(fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    shutil.copytree(fitted / "street", tmp_path / "street")
     for path in sorted(tmp_path.glob("street/**/oxts/data/*.txt"))[6:]:
         latitude, rest = path.read_text().split(" ", 1)
         path.write_text(f"{float(latitude) + 0.01} {rest}")
@@ -269,9 +196,9 @@ def test_poses_that_jump_are_refused(home: Path, tmp_path: Path, capsys: pytest.
 
 
 def test_one_training_view_trains_and_few_frames_are_not_scored(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert nerf("fit", home / "street", "--frames", "3:4", "--steps", 2, "--run", tmp_path / "runs" / "one") == 0
+    assert nerf("fit", fitted / "street", "--frames", "3:4", "--steps", 2, "--run", tmp_path / "runs" / "one") == 0
     told = capsys.readouterr()
     assert "one training view" in told.err
     assert "nothing to score" in told.out
@@ -279,127 +206,33 @@ def test_one_training_view_trains_and_few_frames_are_not_scored(
 
 
 def test_a_full_disk_is_one_line_and_what_was_there_stays(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], full_disk: FullDisk
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], full_disk: FullDisk
 ) -> None:
-    shutil.copytree(home / "runs" / "prior", tmp_path / "runs" / "prior")
-    fit = ["fit", home / "street", "--prior", prior_of(home), "--run", tmp_path / "runs" / "prior", "--steps", 5]
+    shutil.copytree(fitted / "runs" / "prior", tmp_path / "runs" / "prior")
+    fit = ["fit", fitted / "street", "--prior", prior_of(fitted), "--run", tmp_path / "runs" / "prior", "--steps", 5]
     with full_disk(20_000):
         assert "images.npy: " in refused(capsys, *fit)
     with full_disk(1_000_000):
         assert "checkpoint.safetensors: " in refused(capsys, *fit)
-    before = (home / "runs" / "prior" / "checkpoint.safetensors").read_bytes()
+    before = (fitted / "runs" / "prior" / "checkpoint.safetensors").read_bytes()
     assert (tmp_path / "runs" / "prior" / "checkpoint.safetensors").read_bytes() == before
     assert not [path for path in tmp_path.rglob(".*") if path.is_file()]
     assert nerf(*fit) == 0
 
 
-def test_what_is_no_run_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("eval", "render", "video", "export"):
-        assert "not a run's folder" in refused(capsys, command, tmp_path)
-
-
-def test_without_a_name_the_only_run_is_taken(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert "which run? There is no folder runs/ here" in refused(capsys, "export")
-    shutil.copytree(home / "runs" / "prior", "runs/a")
-    shutil.copytree(home / "runs" / ".scenes", "runs/.scenes")
-    assert nerf("export", "--frames", "0:1", *ALL) == 0
-    assert "run: runs/a" in capsys.readouterr().err and Path("runs/a/cloud.ply").is_file()
-    shutil.copytree("runs/a", "runs/b")
-    for named in ([], ["runs"]):
-        assert nerf("render", *named, "--frames", "0:1") == 2
-        assert "2 runs: name one:\n  1. nerf render runs/a --frames 0:1\n" in capsys.readouterr().err
-
-
-def test_the_drive_and_the_prior_come_from_the_cache(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(home / "cache", "cache")
-    completion = build.prepare(open_drive(home / "street"), Completion(), folder=Path("cache")).run().prior
-    assert nerf("fit", "--prior", "auto", "--steps", 1, "--rays", 64, "--run", "runs/a") == 0
-    said = capsys.readouterr().err
-    assert "prior: completion: no other covers 90%" in said and "another: --prior cache/" in said
-    assert open_run(Path("runs/a")).config.prior == str(completion.folder.resolve())
-    (tmp_path / "runs" / "odd").mkdir()
-    (tmp_path / "runs" / "odd" / "config.json").write_text("{")
-    assert nerf("eval") == 1
-    told = capsys.readouterr()
-    assert "left out: runs/odd" in told.err and re.search(r"^a ", told.out, re.MULTILINE)
-
-
-def test_priors_of_several_drives_are_listed(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(home / "cache", "cache")
-    write_street(tmp_path / "second", 2, 3, SIZE)
-    second = open_drive(tmp_path / "second")
-    build.prepare(second, Lidar(sweeps=1, stereo=False), folder=Path("cache")).run()
-    assert nerf("fit", "--prior", "cache", "--steps", 1) == 2
-    assert f"nerf fit --prior cache/{second.name} --steps 1" in capsys.readouterr().err
-
-
-def test_a_run_finds_its_drive_again(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(home / "street", "street")
-    assert nerf("fit", "street", "--frames", "0:2", "--steps", 1, "--rays", 64, "--run", "runs/a") == 0
-    (tmp_path / "street").rename("moved")
-    assert "has the drive moved? Name it: --data" in refused(capsys, "eval", "runs/a")
-    assert "is not the drive of" in refused(capsys, "export", "runs/a", "--frames", "0:2", "--data", another_street())
-    assert nerf("export", "runs/a", "--frames", "0:1", *ALL, "--data", "moved") == 0
-    assert len(open_run(Path("runs/a")).drive) == 10, "the run knows the new place"
-
-
-def another_street() -> Path:
-    """Write another street here."""
-    write_street(Path("other"), 2, 4, SIZE)
-    return Path("other")
-
-
-def test_views_that_the_drive_does_not_have_leave_no_run(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    said = refused(capsys, "fit", home / "street", "--views", "50", "--run", tmp_path / "run")
-    assert "--views 50: expected dense, sparse or a number from 1 to 9" in said
-    assert not (tmp_path / "run").exists()
-
-
-@pytest.mark.parametrize(
-    ("typed", "says"),
-    [
-        ("study {street} --views 2 50", "--views 50: expected"),
-        ("study {street} --frames 90:99", "--frames 90:99: no frames there; the drive has 0:10"),
-        ("fit {street} --frames 90:99", "--frames 90:99: no frames there"),
-        ("export {run} --frames 90:99", "--frames 90:99: no frames there"),
-        ("render {run} --frames 90:99", "--frames 90:99: no frames there"),
-        ("fit {street} --camera image_09", "no camera 'image_09'"),
-        ("fit {street} --drive other", "no drive 'other'"),
-    ],
-)
-def test_what_the_drive_does_not_have_is_a_wrong_flag(
-    home: Path,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    typed: str,
-    says: str,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert nerf(*typed.format(street=home / "street", run=home / "runs" / "prior").split()) == 2
-    err = capsys.readouterr().err
-    assert says in err and err.count("error:") == 1 and not list(tmp_path.iterdir())
-
-
 def test_a_field_that_has_learned_nothing_gives_no_cloud(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     said = refused(
-        capsys, "export", home / "runs" / "prior", "--frames", "2:3", "--farthest-m", 1e-3, "--out", tmp_path / "c.ply"
+        capsys,
+        "export",
+        fitted / "runs" / "prior",
+        "--frames",
+        "2:3",
+        "--farthest-m",
+        1e-3,
+        "--out",
+        tmp_path / "c.ply",
     )
     assert "c.ply: not written: the view holds no point of opacity 0.5 within 0.001 m" in said and not list(
         tmp_path.iterdir()
@@ -407,9 +240,19 @@ def test_a_field_that_has_learned_nothing_gives_no_cloud(
 
 
 def test_the_study_s_preset_is_one_command_with_a_page(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    grid = ["study", home / "street", "--priors", "none", prior_of(home), "--preset", "paper", "--out", tmp_path / "s"]
+    grid = [
+        "study",
+        fitted / "street",
+        "--priors",
+        "none",
+        prior_of(fitted),
+        "--preset",
+        "paper",
+        "--out",
+        tmp_path / "s",
+    ]
     small = ["--field", "warp", "--seed", 5]  # it is not trained, so it is soon made
     assert nerf(*grid, *small) == 0
     written = (tmp_path / "s" / "study.md").read_text()

@@ -6,14 +6,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from nerf.config import FitConfig
 from nerf.evidence import check as checking
 from nerf.evidence import scale as scaling
 from nerf.evidence.check import check
-from nerf.evidence.corrected import Corrected
+from nerf.evidence.corrected import LEAST_TRUST, Corrected
 from nerf.evidence.finding import Finding
 from nerf.evidence.votes import RULES
+from nerf.evidence.whole import trusted_whole
+from nerf.kernels.cpu.surfaces import STEPS, surfaces
 from nerf.kernels.cpu.votes import STRIDE, Voter, pool, vote
 from nerf.kernels.cpu.warp_draw import NONE
 from nerf.scene import Scene
@@ -211,6 +215,47 @@ def test_earlier_runs_took_priors_as_they_are() -> None:
     assert (begun.align, begun.losses.trim) == ("none", 0)
     assert earlier(FitConfig(), begun) == begun
     assert earlier(FitConfig(align="learn"), begun).align == "learn"
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_surfaces_are_what_neighbours_connect(seed: int) -> None:
+    """Against scipy's connected components of the same graph."""
+    random = np.random.default_rng(seed)
+    inverse = np.where(random.random(SIZE) < 0.8, random.choice([0.1, 0.105, 0.2], SIZE), NONE).astype(np.float32)
+    number, edges = np.arange(inverse.size).reshape(SIZE), []
+    for row in range(SIZE[0]):
+        for column in range(SIZE[1]):
+            for down, right in STEPS:
+                y, x = row + down, column + right
+                if y < SIZE[0] and 0 <= x < SIZE[1] and min(inverse[row, column], inverse[y, x]) > 0:
+                    ratio = inverse[row, column] / inverse[y, x]
+                    if 1 / 1.1 < ratio < 1.1:
+                        edges.append((number[row, column], number[y, x]))
+    graph = coo_matrix((np.ones(len(edges)), np.transpose(edges)), (inverse.size, inverse.size))
+    count, expected = connected_components(graph, directed=False)
+    found = surfaces(inverse, 1.1)
+    assert len(np.unique(found)) == count > 10
+    assert len(np.unique(np.stack([found.ravel(), expected]), axis=1).T) == count, "each is one of the others"
+    assert (found.ravel() <= number.ravel()).all() and (found.ravel()[found.ravel()] == found.ravel()).all()
+
+
+def test_a_value_stands_or_falls_with_its_surface() -> None:
+    inverse = np.full((20, 30), 0.1, np.float32)
+    inverse[5:11, 8:15] = 1.0  # a part that is wrong, apart from what is around it
+    inverse[3, 3] = 0.01  # a value that is wrong by itself
+    inverse[15:, :10] = NONE
+    trust = np.full(inverse.shape, 255, np.uint8)
+    trust[inverse != np.float32(0.1)] = 0
+    trust[0:4, 20:] = 10  # contradicted, but the wall goes on there
+    weight = np.ones(inverse.shape, np.float32)
+    now = trusted_whole(inverse, trust, weight) >= LEAST_TRUST
+    assert np.array_equal(now, inverse == np.float32(0.1))
+    trust[inverse == np.float32(0.1)] = 0
+    trust[12:14, 12:29] = 255
+    now = trusted_whole(inverse, trust, weight) >= LEAST_TRUST
+    assert np.array_equal(now, trust >= LEAST_TRUST), "where most is contradicted, values stand by themselves"
+    weight[trust == 0] = 0.01
+    assert np.array_equal(trusted_whole(inverse, trust, weight) >= LEAST_TRUST, inverse == np.float32(0.1))
 
 
 @pytest.mark.parametrize("seed", [0, 1])

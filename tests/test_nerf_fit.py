@@ -18,6 +18,7 @@ from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.space import Space
 from nerf.split import split
+from nerf.volumetric import VolumetricFamily
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.geometry import rays as pixel_rays
@@ -25,7 +26,7 @@ from priors.records import restore
 from priors.types import Camera
 
 SIZE = (24, 64)
-TRAINED = [name for name in fields.names() if fields.is_trained(name)]
+TRAINED = [name for name in fields.names() if isinstance(fields.family(name), VolumetricFamily)]
 CAMERA = Camera(np.array([[40.0, 0, 31.5], [0, 40.0, 11.5], [0, 0, 1]]), SIZE)
 
 

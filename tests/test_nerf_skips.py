@@ -9,14 +9,17 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from nerf import roulette
+from nerf.config import FitConfig, ModelConfig
 from nerf.converged import MEMORY, Converged
 from nerf.field import Field, FieldConfig
 from nerf.kernels import cpu_kernels
 from nerf.losses import SOFT, LossConfig, losses
 from nerf.mlp import MLPConfig
 from nerf.occupancy import Occupancy
+from nerf.sample import SamplerConfig
 from nerf.scene import Pixels
 from nerf.types import GridConfig, Samples
+from nerf.volumetric import VolumetricFamily
 from nerf.walk import WAVE, in_front, walk
 from tests.test_nerf_fit import corridor
 from tests.test_nerf_occupancy import DENSE, scene, space
@@ -109,6 +112,62 @@ def test_sums_are_right_on_average() -> None:
     error = np.std(sums) / np.sqrt(len(sums))
     assert abs(np.mean(sums) - float(weight.sum())) < 4 * error
     assert torch.equal(kept, roulette.spin(chance, (0, 399), roulette.SAMPLES))
+
+
+def test_a_wheel_keeps_what_has_a_gradient_and_sums_on_average() -> None:
+    values = torch.randn(300, generator=torch.Generator().manual_seed(0)) ** 5
+    values[::3] = 0
+    sums = []
+    for step in range(400):
+        grown, kept = roulette.Wheel(0.1, (0, step), roulette.PROPOSED).thinned(values, values.abs())
+        assert kept is not None and len(kept) < 120 and (values[kept] != 0).all()
+        sums.append(float(grown[kept].sum()))
+    assert abs(np.mean(sums) - float(values.sum())) < 4 * np.std(sums) / np.sqrt(len(sums))
+    same, none = roulette.Wheel(1.0, (0, 0), roulette.PROPOSED).thinned(values, values.abs())
+    assert none is None and same is values, "off: nothing is changed"
+    _, kept = roulette.Wheel(0.1, (0, 0), roulette.PROPOSED).thinned(values, torch.zeros(300))
+    assert kept is not None and not len(kept), "a batch without a gradient"
+
+
+def test_proposals_learn_on_average_what_they_learn_of_all_samples() -> None:
+    drive = corridor()
+    family = VolumetricFamily("ball", proposals=(24,), anti_aliased=True)
+    config = FitConfig(ModelConfig(log2_size=10, width=16), steps=30, seconds=None, rays=256)
+    model = family.start(drive, config, "cpu")
+    for step in range(12):
+        model.train(drive, config, step, step / 30)
+    rays = drive.draw(256, 0, 99)
+    samples, rounds = model.proposals.sample(rays, config.model.sampler, (0, 99), 0.5)
+    rendered = model._renderer.forward(
+        samples, *model.field.forward(samples, rays.units), model.sky.forward(rays.units)
+    )
+
+    def gradient(least: float, step: int) -> torch.Tensor:
+        wheel = roulette.Wheel(least, (0, step), roulette.PROPOSED)
+        model.proposals.backward(rounds, samples, rendered, None, wheel)
+        grad = model.proposals.fields[0].mlp.layers.density1.grad
+        assert grad is not None
+        return grad.clone()
+
+    whole, thinned = gradient(1.0, 0), torch.stack([gradient(0.1, step) for step in range(60)])
+    assert whole.abs().max() > 0
+    error = thinned.std(0) / 60**0.5 + 0.01 * whole.abs().max()
+    assert ((thinned.mean(0) - whole).abs() < 5 * error).float().mean() > 0.98
+    assert not torch.equal(thinned[0], whole)
+
+
+@pytest.mark.parametrize(("proposed", "shown", "most"), [(32, 16, 16), (32, None, 32), (None, None, 8), (None, 12, 12)])
+def test_rendered_rays_have_samples_of_their_own(proposed: int | None, shown: int | None, most: int) -> None:
+    drive = corridor()
+    family = VolumetricFamily("ball", proposals=(24,), anti_aliased=True)
+    sampler = SamplerConfig(count=8, proposed=proposed, render_proposed=shown, carve=False)
+    config = FitConfig(ModelConfig(log2_size=10, width=16, sampler=sampler))
+    model = family.start(drive, config, "cpu")
+    rays = replace(drive.draw(64, 0, 0), rgb=None, depth_m=None, weight=None)
+    samples, _ = model.proposals.sample(rays, sampler, None, 1.0)
+    assert int(samples.offsets.diff().max()) == most
+    trained, _ = model.proposals.sample(rays, sampler, (0, 0), 1.0)
+    assert int(trained.offsets.diff().max()) == (proposed or 8)
 
 
 def pixels(count: int, seed: int) -> Pixels:

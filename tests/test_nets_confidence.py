@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from eval.calibration import calibration_error
 from priors.learn.confidence_calibration import CLEARLY, FAR, CalibrationPixels, area, calibrate, ratios
-from priors.nets.confidence import TERMS, ConfidenceCalibration, evidence, falling, fit, is_hidden, miscalibration
+from priors.nets.confidence import TERMS, ConfidenceCalibration, evidence, falling, fit, is_hidden
 
 
 def drawn(seed: int = 0, n: int = 40_000, honest: float = 1.0) -> CalibrationPixels:
@@ -61,14 +62,14 @@ def test_falling_is_the_projection(pairs: list[tuple[float, int]]) -> None:
 def test_fit_is_calibrated_on_new_pixels() -> None:
     made, fresh = fit(drawn(0).terms, drawn(0).within), drawn(1)
     confidence = made.probability(made.score(fresh.terms))
-    assert miscalibration(confidence, fresh.within) < 0.015
+    assert calibration_error(confidence, fresh.within) < 0.015
 
 
 @pytest.mark.parametrize("honest", [0.4, 2.5])
 def test_fit_mends_a_network_that_misjudges_itself(honest: float) -> None:
     seen, fresh = drawn(0, honest=honest), drawn(1, honest=honest)
     raw, made = ConfidenceCalibration.trusting(), fit(seen.terms, seen.within)
-    errors = [miscalibration(c.probability(c.score(fresh.terms)), fresh.within) for c in (raw, made)]
+    errors = [calibration_error(c.probability(c.score(fresh.terms)), fresh.within) for c in (raw, made)]
     assert errors[1] < 0.02 < errors[0]
 
 

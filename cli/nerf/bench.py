@@ -10,8 +10,9 @@ import tyro
 
 from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, err, fit_progress, out, progress
+from cli.durations import seconds
 from cli.nerf.eval import LpipsArguments
-from cli.nerf.fit import FieldName, seconds
+from cli.nerf.fit import FieldName
 from cli.nerf.sources import named_priors
 from eval import typeset
 from nerf.bench import results

@@ -8,11 +8,13 @@ import tyro
 
 from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import busy, err, fit_progress, out, progress
+from cli.durations import seconds
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
 from nerf import checkpoint, fields
 from nerf.checkpoint import Spent
 from nerf.config import Align, FitConfig, ModelConfig
+from nerf.gaussians.config import GaussianConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.quality import AUTO, SECONDS, Quality, family_of
@@ -22,7 +24,7 @@ from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.split import SPARSE_STEP
 from priors import origin
-from priors.errors import UsageError, expect
+from priors.errors import UsageError
 from priors.filters import Filters
 from priors.selection import select
 from priors.types import Drive
@@ -36,8 +38,6 @@ examples:
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --field nerfpp --steps 3000 --run runs/npp
 """
-UNITS_S = {"s": 1.0, "m": 60.0, "h": 3600.0}
-MOST_S = 365 * 24 * 3600.0
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
     FieldName = str
@@ -78,6 +78,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
     """The run's folder; default: runs/<drive or sequence>-<field>-<views>-<loss>-<prior>."""
     losses: tyro.conf.OmitArgPrefixes[LossConfig] = field(default_factory=LossConfig)
     sampler: tyro.conf.OmitArgPrefixes[SamplerConfig] = field(default_factory=SamplerConfig)
+    gaussians: tyro.conf.OmitArgPrefixes[GaussianConfig] = field(default_factory=GaussianConfig)
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
     field: FieldName | Literal["auto"] = AUTO
@@ -100,7 +101,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
         """Return what decides the fit's outcome."""
         asked = SECONDS[self.quality] if self.time is None else seconds(self.time)
         timed = None if self.steps is not None else asked
-        model = ModelConfig(family=self.family, width=self.width, sampler=self.sampler)
+        model = ModelConfig(self.family, width=self.width, sampler=self.sampler, gaussians=self.gaussians)
         made = FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
         return replace(made, align=self.align)
 
@@ -118,6 +119,8 @@ def run(arguments: list[str]) -> int:
 def _fit(args: FitArguments, typed: list[str]) -> int:
     if args.prior is None and not fields.is_trained(args.family):
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
+    for setting, value in fields.unread(args.config()).items():
+        raise UsageError(f"{f'{setting} {value}'.strip()}: --field {args.family} does not read it: leave it out")
     with busy("looking at the drive and its priors"):
         drive, prior = open_sources(args, args.prior, typed)
     scene, config, folder = args.scene(), args.config(), args.run
@@ -186,13 +189,3 @@ def _budget(fit: FitConfig, before: Spent) -> str:
     budget = f"{fit.steps} steps" if fit.steps is not None else f"{fit.seconds:g} s"
     left = before.step and fit.progress(before.step, before.elapsed_s) < 1
     return budget + (f", goes on from step {before.step}, {before.elapsed_s:.0f} s" if left else "")
-
-
-def seconds(text: str, flag: str = "--time") -> float:
-    """Turn 90s, 5m or 1h into seconds; `flag` is named where it cannot be done."""
-    try:
-        value = float(text[:-1]) * UNITS_S[text[-1]] if text[-1:] in UNITS_S else float(text)
-    except ValueError as error:
-        raise UsageError(f"{flag} {text or repr(text)}: expected a number and s, m or h, for example 60s") from error
-    expect(0 < value <= MOST_S, flag, text, "more than 0, and less than a year")
-    return value

@@ -8,10 +8,10 @@ from cli.arguments import DriveArguments, by_drive, find_priors, folders_to_name
 from cli.console import err
 from nerf.guide import TRUTH, Guide
 from nerf.study import NONE
-from priors.advice import PriorAdvice, advise_prior
 from priors.cache import Prior
 from priors.drives import poses_of
 from priors.errors import DataError, UsageError
+from priors.plan.choice import PriorAdvice, advise_prior
 from priors.types import Drive
 
 AUTO = Path("auto")

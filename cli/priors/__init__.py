@@ -14,6 +14,8 @@ PROGRAM = Program(
         "view": "look at a drive and its priors in 3D, live in a browser",
         "export": "write a prior for nerfstudio, COLMAP, 3DGS, KITTI; as PLY; a network as ONNX",
         "list": "list what a cache holds",
+        "bench": "run time against error of every method, on a drive of yours",
+        "plan": "what a drive has, needs and does not need, before anything is built",
         "check": "audit a drive: calibration, joins, stereo, poses, LiDAR",
         "poses": "refine a drive's poses by what its images see",
         "train": "train the networks: render samples, train, pack weights",

@@ -1,6 +1,5 @@
 """`priors build`: make depth maps for a drive and cache them."""
 
-import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field, make_dataclass, replace
 from glob import escape
@@ -13,8 +12,9 @@ from rich.table import Table
 
 from cli.arguments import SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, busy, err, out, progress
+from cli.priors.left_open import LeftOpen, idle_flags, method_of
 from priors import build, methods
-from priors.advice import advise_method
+from priors.bench.budget import Budget
 from priors.build import BuildReport, Job, Plan
 from priors.cache import load
 from priors.cache.manifest import NewerFormatError
@@ -31,6 +31,8 @@ examples:
   priors build --method stereo                                the drive here, or the only one below
   priors build --method auto                                  what suits it: stereo, completion or mono
   priors build street/ --method stereo
+  priors build street/ --budget 100ms                         the most accurate that takes no longer for a frame
+  priors build street/ --budget absrel=0.02                   the fastest that is as right
   priors build KITTI/2011_09_26 --drive 2011_09_26_drive_0001_sync --method lidar --lidar.sweeps 11
   priors build street/ --method completion --sky mask --clip 80 --frames 0:20
   priors build street/ --method mono --mono.adapt lidar       fine-tune on the drive first, a minute or two
@@ -45,7 +47,11 @@ class BuildArguments(ThreadArguments, SequenceArguments):
     """Arguments of `priors build` that do not depend on which methods there are."""
 
     method: Literal["auto", *methods.names()] | None = None  # type: ignore[valid-type]
-    """How to make depth. auto: stereo where there is a pair, else completion where there is a LiDAR, else mono."""
+    """How to make depth. auto: the most accurate of the drive's own bench (`priors bench`); without one stereo where
+    there is a pair, else completion where there is a LiDAR, else mono."""
+    budget: str | None = None
+    """What a frame may take (100ms, 2s) or how far off it may be (absrel=0.02): the most accurate method for the time,
+    or the fastest for the error, by the drive's own bench, else by a shipped table and two seconds of calibration."""
     cache: Path = Path("cache")
     """Where the maps go."""
     selection: tyro.conf.OmitArgPrefixes[Selection] = field(default_factory=Selection)
@@ -58,6 +64,8 @@ class BuildArguments(ThreadArguments, SequenceArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         expect_between(1, self.workers, MOST_THREADS, "--workers")
+        if self.budget is not None:
+            Budget.parse(self.budget)
         self.chosen()
 
     def chosen(self) -> Selection:
@@ -99,12 +107,23 @@ def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
     """Open the drive, decide what is left open, and find out what is to be computed."""
     drive = args.open(["priors", "build", *typed])
     indices = select(drive.ids, args.chosen().frames)  # wrong frames are told before anything is compiled
-    method = args.method if args.method not in (None, "auto") else _advised(args, drive, indices, typed)
-    job = build.prepare(drive, args.settings(method), args.filters, args.cache)
+    job = build.prepare(drive, _settings(args, drive, indices, typed), args.filters, args.cache)
     for flag, reader in _unread_flags(job.method, typed).items():
         err.print(f"{flag}: not used here: it is read with {reader}")
     _tell_of_unused(job)
     return job, job.plan(args.chosen())
+
+
+def _settings(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> Method:
+    """Return the method that the user names, or that suits the drive or the budget, with its settings."""
+    if args.budget is None and args.method not in (None, "auto"):
+        return args.settings(str(args.method))
+    left_open = LeftOpen(drive, indices, args.cache, typed)
+    if args.budget is not None:
+        chosen = left_open.for_budget(Budget.parse(args.budget), None if args.method == "auto" else args.method)
+    else:
+        chosen = left_open.for_drive(asked=args.method is not None)
+    return replace(args.settings(chosen.method), **chosen.settings)
 
 
 def _tell_of_unused(job: Job) -> None:
@@ -126,35 +145,10 @@ def _tell_of_unused(job: Job) -> None:
             err.print(f"left out: {error}. {mend}")
 
 
-def _advised(args: BuildArguments, drive: Drive, indices: Sequence[int], typed: list[str]) -> str:
-    """Return the method that suits the drive where --method auto asks for it; UsageError says it where nothing does."""
-    advice = advise_method(drive, indices)
-    if args.method is None:
-        has = " and ".join(filter(None, (", ".join(advice.has[:-1]), *advice.has[-1:]))) or "images alone"
-        command = shlex.join(["priors", "build", *typed, "--method", advice.method])
-        raise UsageError(f"--method is missing: {drive.name} has {has}; --method auto takes {advice.method}: {command}")
-    err.print(f"method: {advice.method}: {advice.reason}")
-    for flag in _idle_flags(advice.method, typed):
-        err.print(f"{flag}: not used by {advice.method}")
-    return advice.method
-
-
-def _idle_flags(method: str, typed: list[str]) -> list[str]:
-    """Return the flags that were typed of other methods than this."""
-    flags = dict.fromkeys(word.partition("=")[0] for word in typed if word.startswith("--"))
-    return [flag for flag in flags if _method_of(flag) not in (None, method)]
-
-
-def _method_of(flag: str) -> str | None:
-    """Return the method whose flag this is, as --stereo.model is stereo's; None for those of the command."""
-    name, dot, _ = flag.removeprefix("--").replace("-", "_").partition(".")
-    return name if dot and name in methods.names() else None
-
-
 def _refuse_idle_flags(method: str, typed: list[str]) -> None:
     """Raise UsageError where a flag of another method was typed: it would do nothing."""
-    if idle := _idle_flags(method, typed):
-        others = " or ".join(dict.fromkeys(str(_method_of(flag)) for flag in idle))
+    if idle := idle_flags(method, typed):
+        others = " or ".join(dict.fromkeys(str(method_of(flag)) for flag in idle))
         what = "a flag" if len(idle) == 1 else "flags"
         raise UsageError(f"{', '.join(idle)}: {what} of --method {others}, not of {method}: leave out one or the other")
 

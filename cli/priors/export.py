@@ -29,8 +29,8 @@ examples:
   priors export cache/DRIVE/stereo-KEY --to nerfstudio            and prints the ns-train line that fits
   priors export cache/DRIVE/stereo-KEY --to colmap --voxel-m 0.2
   priors export cache/DRIVE/stereo-KEY --to 3dgs --sky mask       graphdeco's trainer, with inverse depth
-  priors export cache/DRIVE/stereo-KEY --to kitti --out mine.zip  a submission: depth completion, or stereo 2015
-  priors export cache/DRIVE/stereo-KEY --to ply --frames 5:17 --confidence 0.8 --views 2
+  priors export cache/DRIVE/stereo-KEY --to kitti --out mine.zip  a submission: depth or stereo
+  priors export cache/DRIVE/stereo-KEY --to ply --frames 5:17 --confidence 0.5 --views 3
   priors export --to onnx --net cfnet-s --image-size 1242x375
 """
 CACHE = Path("cache")
@@ -64,8 +64,9 @@ class ExportArguments:
     """Only this range of frames, a:b."""
     data: Path | None = None
     """Where the drive is now, if it has moved since the build."""
-    benchmark: Literal["auto", "depth", "stereo2015"] = "auto"
-    """Which of KITTI's benchmarks --to kitti is for: depth completion or stereo 2015; auto: by the frames' names."""
+    benchmark: Literal["auto", "completion", "prediction", "stereo2012", "stereo2015"] = "auto"
+    """Which of KITTI's benchmarks --to kitti is for: depth completion or prediction, or stereo; auto: by the frames'
+    names, the camera and the method."""
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
     fusion: tyro.conf.OmitArgPrefixes[FusionConfig] = field(default_factory=FusionConfig)
     nerfstudio: tyro.conf.OmitArgPrefixes[NerfstudioConfig] = field(default_factory=NerfstudioConfig)

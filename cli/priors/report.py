@@ -12,11 +12,13 @@ from cli.console import DATA_ERROR, busy, err, out
 from cli.priors.eval import ScoreArguments, score_prior, with_maps
 from cli.written import expect_file
 from eval.protocol import PRESETS
+from priors.bench.results import of_drive
+from priors.bench.table import chapter
 from priors.cache import Prior
 from priors.errors import DataError, UsageError
 from priors.naming import labels
 from priors.report.frames import frames_wipe
-from priors.report.page import SUFFIX, Page
+from priors.report.page import SUFFIX, Chapter, Page
 from priors.report.sample import Sample
 from priors.report.scores import DriveScores, scores_page, within
 from priors.selection import select
@@ -68,6 +70,7 @@ def run(arguments: list[str]) -> int:
     expect_file("--out", args.out)
     scored, whole = score_caches(args)
     page = scores_page(scored, None, shlex.join(["priors", "report", *arguments]), args.sample.room)
+    page = replace(page, chapters=[*page.chapters, *_benches(scored)])
     write_page(page, args.out, scored, args.sample)
     return 0 if whole else DATA_ERROR
 
@@ -96,6 +99,13 @@ def score_caches(args: ReportArguments) -> tuple[list[DriveScores], bool]:
         raise DataError(f"none of {len(drives)} drives can be opened: see above")
     lost = bool(refused) or len(scored) < len(drives) or any(each.left_out for each in scored if each.results)
     return scored, not lost
+
+
+def _benches(scored: list[DriveScores]) -> list[Chapter]:
+    """Lay out what `priors bench` has measured of these drives."""
+    firsts = [next(iter(each.priors.values())) for each in scored if each.priors]
+    found = [of_drive(prior.folder.parent, str(prior.manifest.get("fingerprint"))) for prior in firsts]
+    return [chapter(bench) for bench in found if bench is not None]
 
 
 def _score_drive(priors: list[Prior], drive_name: str, args: ReportArguments) -> DriveScores:

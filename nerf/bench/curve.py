@@ -15,6 +15,7 @@ from nerf.config import FitConfig
 from nerf.fields import is_trained
 from nerf.split import HELD_OUT
 from nerf.study import RunSpec
+from priors.records import upgrade
 
 NAME = "curve.json"
 
@@ -106,10 +107,16 @@ def load(folder: Path, entrant: Entrant, config: dict[str, Any]) -> Curve:
     """Return the curve that was made with this config; without points where there is none."""
     try:
         content = json.loads((folder / NAME).read_text(encoding="utf-8"))
-        points = [_point(entry) for entry in content["points"]] if content["config"] == config else []
+        points = [_point(entry) for entry in content["points"]] if _today(content["config"]) == config else []
     except (OSError, ValueError, KeyError, TypeError):
         points = []  # it is made anew
     return Curve(entrant, points)
+
+
+def _today(config: dict[str, Any]) -> dict[str, Any]:
+    """Return what a curve was made with, in the settings of today: a fit may have more of them since."""
+    fit = config.get("fit")
+    return config | {"fit": upgrade(FitConfig, fit)} if isinstance(fit, dict) else config
 
 
 def _point(entry: dict[str, Any]) -> Point:

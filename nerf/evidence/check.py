@@ -3,7 +3,8 @@
 1. Blank images are left out of training (nerf/evidence/blank.py).
 2. Scale: each frame's patches say by which factor its depths suit the images (nerf/evidence/scale.py). Where the images
    cannot tell, the LiDAR does (nerf/evidence/lidar.py).
-3. Votes: values that the other frames' maps contradict are left out (nerf/evidence/votes.py).
+3. Votes: values that the other frames' maps contradict are left out (nerf/evidence/votes.py), but for those that go on
+   into a trusted surface (nerf/evidence/whole.py).
 4. What is left is looked for in the images once more. Where too much of it is found at another depth, the prior would
    hurt, and the fit is better off without it.
 """
@@ -23,7 +24,8 @@ from nerf.evidence.kept import Kept, Rounds, Trust
 from nerf.evidence.lidar import Sweeps, ratios
 from nerf.evidence.patches import Shot
 from nerf.evidence.scale import FACTORS, along, look, scale_of, wrong_share
-from nerf.evidence.votes import ROUNDS, Council
+from nerf.evidence.votes import ROUNDS, Council, inverse_of
+from nerf.evidence.whole import trusted_whole
 from nerf.scene import Scene
 from nerf.warp.frames import unlike_m
 from priors.sky import sky_mask
@@ -197,13 +199,18 @@ class _Check:
         council = Council(self.scene.camera, poses, near, aligned, self._weight)
         everything, trust = np.full(self.scene.camera.size, 255, np.uint8), None
 
-        def counted(before: Trust | None) -> Iterator[npt.NDArray[np.uint8]]:
+        def counted(before: Trust | None, last: bool) -> Iterator[npt.NDArray[np.uint8]]:
             for position in range(len(self.scene.ids)):
-                asked = (lambda other: None) if before is None else before.__getitem__
-                yield council.count(position, asked) if position in poses else everything
+                if position not in poses:
+                    yield everything
+                    continue
+                own = council.count(position, (lambda other: None) if before is None else before.__getitem__)
+                inverse = inverse_of(self._depth_m(position))
+                yield trusted_whole(inverse, own, self._weight(position)) if last else own
 
         for number in range(ROUNDS):
-            trust = self.rounds.write(counted(trust), last=number == ROUNDS - 1)
+            last = number == ROUNDS - 1
+            trust = self.rounds.write(counted(trust, last), last=last)
         assert trust is not None
         return trust
 

@@ -21,7 +21,7 @@ from nerf.evidence.finding import Finding
 from nerf.scene import Scene
 from nerf.stack import Stack, StackWriter
 
-VERSION = 2
+VERSION = 3
 """Raised when the same scene is judged otherwise: what was kept of it is not read then."""
 Trust: TypeAlias = Stack | npt.NDArray[np.uint8]
 """(frames, height, width) how far each value is trusted, x 255."""

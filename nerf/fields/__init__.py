@@ -4,8 +4,12 @@ A family's file holds FAMILY, a nerf.model.Family. The study's three differ in t
 losses (nerf.volumetric.VolumetricFamily). Your own files: priors/extensions.py.
 """
 
+from dataclasses import fields as parts
+from dataclasses import is_dataclass
 from importlib import import_module
+from typing import Any
 
+from nerf.config import FitConfig
 from nerf.model import Family
 from priors import extensions
 from priors.errors import DataError
@@ -42,3 +46,21 @@ def is_trained(name: str) -> bool:
 def aligns(name: str) -> bool:
     """Tell whether a family's models can learn a prior's scales and shifts with the field."""
     return bool(getattr(family(name), "aligns", False))
+
+
+def unread(config: FitConfig) -> dict[str, Any]:
+    """Return the flags of settings that are not the usual ones and that the config's family does not read."""
+    names = getattr(family(config.model.family), "unread", ())
+    return {flag: value for name in names for flag, value in _changed(config, FitConfig(), name.split(".")).items()}
+
+
+def _changed(config: Any, usual: Any, path: list[str]) -> dict[str, Any]:
+    """Return the flags of what differs from the usual in a setting, or in all settings of a part."""
+    own, other, rest = getattr(config, path[0]), getattr(usual, path[0]), path[1:]
+    if is_dataclass(own):
+        each = [rest] if rest else [[field.name] for field in parts(own)]
+        return {flag: value for inner in each for flag, value in _changed(own, other, inner).items()}
+    if own == other:
+        return {}
+    flag = f"--{path[0].replace('_', '-')}"
+    return {f"--no-{flag[2:]}": ""} if own is False else {flag: own}

@@ -35,6 +35,7 @@ FARTHEST_M = 1e4
 class WarpFamily:
     """A nerf.model.Family."""
 
+    unread = ("model.width", "model.sampler", "model.gaussians", "losses", "rays")
     trained = False
     """Its models learn nothing: they are as good as their frames and prior at once."""
 

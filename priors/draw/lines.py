@@ -124,14 +124,14 @@ def _draw(axes: "Axes", plot: Plot) -> "list[Line2D]":
     if not any(each.size for each in values):
         axes.text(0.5, 0.5, "no values", transform=axes.transAxes, ha="center", color=figure.FAINT)
     elif plot.y_scale == "log":
-        _scale_y_by_logarithm(axes)
+        scale_y_by_logarithm(axes)
     elif plot.from_zero and min(float(each.min()) for each in values if each.size) >= 0:
         axes.set_ylim(bottom=0)
     _scale_x(axes, plot)
     return drawn
 
 
-def _scale_y_by_logarithm(axes: "Axes") -> None:
+def scale_y_by_logarithm(axes: "Axes") -> None:
     """Set a logarithmic y axis, its ticks plain numbers: text is not parsed for mathematics."""
     from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 

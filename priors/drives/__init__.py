@@ -145,7 +145,8 @@ def reopen(description: dict[str, Any], moved_to: Path | None = None) -> Drive:
         raise DataError(f"{path}: no such folder: has the drive moved? Name it: --data FOLDER")
     if moved_to is not None and truth is not None and not truth.is_dir():
         truth = None  # it moved too, or lies beside the drive as usual
-    options = DriveOptions(camera=description.get("camera"), truth=truth, fx=description.get("fx"))
+    said = description.get
+    options = DriveOptions(drive=said("drive"), camera=said("camera"), truth=truth, fx=said("fx"))
     if poses_of(description) != "refined":
         poses: Literal["recorded", "auto"] = "recorded" if poses_of(description) == "recorded" else "auto"
         return open_drive(path, dataset, replace(options, poses=poses))

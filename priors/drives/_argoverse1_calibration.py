@@ -10,40 +10,19 @@ Facts (argoverse-api: README, utils/calibration.py, issues 37, 50, 81):
 - Quaternions are (w, x, y, z). The vehicle's frame is x forward, y left, z up, at the rear axle.
 """
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from priors.drives._files import check_baseline
+from priors.drives._rectified import RectifiedCamera, rectify_pair, to_pose
 from priors.errors import DataError
-from priors.geometry import invert
 from priors.text import read_json
-from priors.types import Camera, Image, Matrix
+from priors.types import Camera, Matrix
 
 RING_SIZE = (1200, 1920)
 STEREO_SIZE = (2056, 2464)
-
-
-@dataclass(frozen=True)
-class RectifiedCamera:
-    """One camera as the frames show it, and how its stored images get there."""
-
-    camera: Camera
-    T_ego_cam: Matrix | None
-    """(4, 4); None where the calibration does not place the rectified camera on the vehicle."""
-    warp: Matrix | None = None
-    """(3, 3) homography from stored to rectified pixels; None: the images are stored as the camera sees."""
-
-    def rectify(self, image: Image) -> Image:
-        """Turn a stored image into the camera's; its size stays."""
-        if self.warp is None:
-            return image
-        height, width = self.camera.size
-        return np.asarray(cv2.warpPerspective(image, self.warp, (width, height), flags=cv2.INTER_LINEAR), np.uint8)
 
 
 class LogCalibration:
@@ -64,23 +43,8 @@ class LogCalibration:
         """Rectify the pair of a tracking log: its cameras and their baseline in metres."""
         K = [self._K(name) for name in (left, right)]
         T_ego = [self._T_ego_cam(name) for name in (left, right)]
-        T_right_left = invert(T_ego[1]) @ T_ego[0]
-        height, width = STEREO_SIZE
-        none = np.zeros((1, 5))
-        turns_projections = cv2.stereoRectify(
-            K[0], none, K[1], none, (width, height),
-            T_right_left[:3, :3].copy(), T_right_left[:3, 3:].copy(), flags=cv2.CALIB_ZERO_DISPARITY, alpha=0,
-        )  # fmt: skip
-        turns, P_right = turns_projections[:2], turns_projections[3]
-        camera = Camera(np.asarray(P_right[:, :3], np.float64), STEREO_SIZE)
-        cameras = []
-        for K_raw, T_ego_raw, R_rect_raw in zip(K, T_ego, turns, strict=True):
-            T_raw_rect = np.eye(4)
-            T_raw_rect[:3, :3] = R_rect_raw.T
-            warp = camera.K @ R_rect_raw @ np.linalg.inv(K_raw)
-            cameras.append(RectifiedCamera(camera, T_ego_raw @ T_raw_rect, warp))
-        baseline_m = check_baseline(float(-P_right[0, 3] / P_right[0, 0]), f"from {left} to {right}", self.path)
-        return cameras[0], cameras[1], baseline_m
+        cameras, baseline_m = rectify_pair(K, T_ego, STEREO_SIZE)
+        return *cameras, check_baseline(baseline_m, f"from {left} to {right}", self.path)
 
     def rectified_pair(self, left: str, right: str) -> tuple[RectifiedCamera, RectifiedCamera, float]:
         """Return the stereo release's pair and its baseline in metres: -Txf_ / focal length of the right camera."""
@@ -124,21 +88,3 @@ class LogCalibration:
         rotation = pose.get("rotation", {}).get("coefficients") if isinstance(pose, dict) else None
         translation = pose.get("translation") if isinstance(pose, dict) else None
         return to_pose(rotation, translation, f"{self.path}: {name}: vehicle_SE3_camera_")
-
-
-def to_pose(rotation_wxyz: object, translation_m: object, where: str) -> Matrix:
-    """Turn a quaternion (w, x, y, z) and a translation, metres, into (4, 4).
-
-    Raises:
-        DataError: they are not 4 and 3 finite numbers; `where` names them.
-    """
-    try:
-        q, t = np.array(rotation_wxyz, dtype=np.float64), np.array(translation_m, dtype=np.float64)
-    except (TypeError, ValueError):
-        q = t = np.zeros(0)
-    if q.shape != (4,) or t.shape != (3,) or not np.isfinite([*q, *t]).all() or np.linalg.norm(q) < 1e-6:
-        raise DataError(f"{where}: expected a quaternion (w x y z) and 3 metres, all finite: repair or download again")
-    T = np.eye(4)
-    T[:3, :3] = Rotation.from_quat([*q[1:], q[0]]).as_matrix()
-    T[:3, 3] = t
-    return T

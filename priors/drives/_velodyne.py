@@ -4,9 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial.transform import Rotation
 
 from priors.drives._points import check_reflectance, only_points
 from priors.errors import DataError
+from priors.geometry import invert
+from priors.types import Matrix
 
 SWEEP_S = 0.1
 """Time of one turn."""
@@ -16,6 +19,18 @@ triggered when it faces forward: azimuth 0 is the frame's time."""
 FORMATS = {b"\x93NUMPY": "a NumPy file", b"ply\n": "a PLY file", b"ply\r": "a PLY file", b"# .PCD": "a PCD file"}
 
 WANTED = "little-endian float32 x y z reflectance"
+
+
+def point_times(xyz_m: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return when each point (n, 3) of a turn was measured, (n,) seconds from the frame's time."""
+    azimuth = np.arctan2(xyz_m[:, 1], xyz_m[:, 0])
+    return np.asarray((SECONDS_PER_RADIAN * azimuth).astype(np.float32))
+
+
+def velocity_between(T_world_a: Matrix, T_world_b: Matrix, seconds: float) -> Matrix:
+    """Return the motion from one pose to another that took so long: (6,) m/s, then rad/s, in the first one's frame."""
+    T_a_b = invert(T_world_a) @ T_world_b
+    return np.concatenate([T_a_b[:3, 3], Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()]) / seconds
 
 
 def read_sweep_file(path: Path) -> npt.NDArray[np.float32]:

@@ -19,17 +19,14 @@ Quirks kept here (those of the calibration in _argoverse1_calibration.py):
 """
 
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
 from functools import cached_property, partial
 from glob import escape
 from pathlib import Path
 
-import numpy as np
-from scipy.spatial.transform import Rotation
-
 from priors import codecs
 from priors.drives import CameraDrive, DriveOptions
-from priors.drives._argoverse1_calibration import LogCalibration, RectifiedCamera, to_pose
+from priors.drives._argoverse1_calibration import LogCalibration
+from priors.drives._by_time import between, by_time, nearest
 from priors.drives._camera_drive import Files, Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
@@ -38,10 +35,10 @@ from priors.drives._files import (
     follow,
     read_sized,
     search,
-    stems,
 )
 from priors.drives._links import homes
 from priors.drives._ply import read_ply
+from priors.drives._rectified import RectifiedCamera, to_pose
 from priors.errors import DataError
 from priors.geometry import convert_disparity, invert
 from priors.motion import Trajectory
@@ -209,13 +206,8 @@ class Argoverse1(CameraDrive):
             return _read_pose(self._poses[time])
         if len(around) < 2 or not around[0] < time < around[1] or around[1] - around[0] > POSE_GAP_NS:
             return None
-        share = (time - around[0]) / (around[1] - around[0])
         T_world_a, T_world_b = (_read_pose(self._poses[t]) for t in around)
-        T_a_b = invert(T_world_a) @ T_world_b
-        T_a_time = np.eye(4)
-        T_a_time[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()).as_matrix()
-        T_a_time[:3, 3] = share * T_a_b[:3, 3]
-        return T_world_a @ T_a_time
+        return between(T_world_a, T_world_b, (time - around[0]) / (around[1] - around[0]))
 
     def _sweep_time(self, time: int, offset: int) -> int | None:
         """Return the time of the sweep that lies `offset` sweeps from the one nearest to an image; None without one."""
@@ -265,24 +257,6 @@ class Argoverse1(CameraDrive):
             return {}
         wanted = f"disparity_maps_v1.1/{self.folder.parent.name}/{self.folder.name}/{PAIR_RECT[0]}_disparity"
         raise DataError(f"{self.truth}: --truth should hold {wanted}, found none")
-
-
-def by_time(folder: Path, suffixes: Iterable[str]) -> dict[int, Path]:
-    """Map nanoseconds, the digits that end a file's name, to the file, in time order."""
-    times = {}
-    for stem, path in stems(folder, suffixes).items():
-        digits = stem.rpartition("_")[2]
-        if digits.isdecimal():
-            times[int(digits)] = path
-    return dict(sorted(times.items()))
-
-
-def nearest(times: Sequence[int], time: int, within: int) -> int | None:
-    """Return the nearest of the sorted times, None where it is farther than `within`; the earlier one in a tie."""
-    after = bisect_left(times, time)
-    around = times[max(after - 1, 0) : after + 1]
-    best = min(around, key=lambda t: abs(t - time), default=None)
-    return None if best is None or abs(best - time) > within else best
 
 
 def _read_pose(path: Path) -> Matrix:

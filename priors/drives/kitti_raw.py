@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from priors.drives import CameraDrive, DriveOptions, _kitti_maps
 from priors.drives._camera_drive import Files, Readers
@@ -43,7 +42,7 @@ from priors.drives._files import (
 from priors.drives._links import beside, homes
 from priors.drives._oxts import DEAD_RECKONING, Track
 from priors.drives._rigs import KITTI
-from priors.drives._velodyne import SECONDS_PER_RADIAN, SWEEP_S, read_sweep_file
+from priors.drives._velodyne import SWEEP_S, point_times, read_sweep_file, velocity_between
 from priors.errors import DataError
 from priors.frame_ids import by_number, joined
 from priors.geometry import invert
@@ -263,8 +262,7 @@ class KittiRaw(CameraDrive):
         velocity = self._velocity(number)
         time_s = None
         if velocity is not None:
-            azimuth = np.arctan2(xyz_m[:, 1], xyz_m[:, 0])
-            time_s = (SECONDS_PER_RADIAN * azimuth).astype(np.float32)
+            time_s = point_times(xyz_m)
             time_s.flags.writeable = False
         xyz_m.flags.writeable = False  # sweeps are shared
         return Sweep(xyz_m, self._T_world_velo(self._by_number[number]), time_s, velocity)
@@ -280,9 +278,7 @@ class KittiRaw(CameraDrive):
         if len(poses) < 2:
             return None
         (first, T_world_a), (last, T_world_b) = poses[0], poses[-1]
-        seconds = (last - first) * SWEEP_S
-        T_a_b = invert(T_world_a) @ T_world_b
-        return np.concatenate([T_a_b[:3, 3], Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()]) / seconds
+        return velocity_between(T_world_a, T_world_b, (last - first) * SWEEP_S)
 
     def _unbroken(self, number: int, offsets: tuple[int, ...]) -> list[tuple[int, Matrix]]:
         """Return the poses at offsets from a frame, each with its offset, on the frame's own side of a break."""

@@ -76,7 +76,8 @@ def about(cloud: Cloud, config: FusionConfig) -> list[str]:
         "images/: the frames, PNG, rectified, without distortion.",
         "sparse/0/: a COLMAP model as text. Positions are metres. Poses are world to camera, OpenCV axes (x right,",
         "y down, z forward). The centre of the top-left pixel is (0.5, 0.5), as COLMAP has it.",
-        f"points3D.txt: {len(cloud.points)} points of the prior's depth maps, one in a cube of {config.voxel_m:g} m,",
+        f"points3D.txt: {len(cloud.points)} points of the prior's depth maps, one in a cube of {config.voxel_m:g} m",
+        f"that {cloud.least_views} frames see or more,",
         f"not farther than {config.reach_m:g} m from the camera that sees it from nearest. ERROR is the mean distance,",
         "pixels, of a point's projection from the pixels whose depth lies in its cube.",
     ]

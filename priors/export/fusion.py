@@ -31,6 +31,7 @@ SEEN = np.dtype(
 """A point: metres; its colour; the confidence of its map there, 1 where the map has none; the depth from which it was
 seen, metres; how many views see its voxel."""
 MOST_POINTS = 10**9
+USUAL_VIEWS = 2
 MODEL_POINTS = 200_000
 """Points where --points says nothing, for programs that start from them: what structure from motion gives."""
 _AT_ONCE = 1_000_000
@@ -47,8 +48,9 @@ class FusionConfig:
     """One point in a cube of this side, metres: the pixel seen from nearest."""
     reach_m: float = 60.0
     """Largest camera-z depth of a point, metres: far depth is rough."""
-    views: int = 1
-    """Least number of frames that must see a voxel: 2 or more drop what only one map says."""
+    views: int | None = None
+    """Least number of frames that must see a voxel. Default: 2, since much of what one map alone says is wrong; 1 where
+    no voxel is seen by two."""
     points: int | None = None
     """Most points, drawn evenly. Default: 200,000; 1,000,000 for ply."""
 
@@ -77,6 +79,8 @@ class Cloud:
     """(n,) SEEN, metres, in the frame of the poses."""
     seen_by: dict[int, Observations]
     """A view's number -> what it sees."""
+    least_views: int
+    """So many views see each point, or more."""
 
     def xyz_m(self) -> npt.NDArray[np.float64]:
         """Return the positions (n, 3), metres."""
@@ -102,18 +106,22 @@ def fuse(
         DataError: no pixel becomes a point.
     """
     count = most if config.points is None else config.points
-    merged, pixels = _Merged(count * (_SPARE if config.views > 1 else 1)), {}
+    merged, pixels = _Merged(count if config.views == 1 else count * _SPARE), {}
     for view in views:
         cells, points, flat = _view_points(view, T_world_cam[view.number], config)
         taken = merged.add(cells, points)
         pixels[view.number] = cells[taken], flat[taken].astype(np.int32), view.camera.size[1]
     cells, points = merged.finish()
-    enough = points["views"] >= config.views
+    least_views = config.views
+    if least_views is None:
+        least_views = min(USUAL_VIEWS, int(points["views"].max(initial=1)))
+    enough = points["views"] >= least_views
     cells, points = least(cells[enough], points[enough], count)
     if not len(points):
-        told = f"no point within {config.reach_m:g} m that {config.views} views see"
+        told = f"no point within {config.reach_m:g} m" + (f" that {least_views} views see" if least_views > 1 else "")
         raise DataError(f"{told}: choose another --reach-m, --views or --voxel-m, or filter less")
-    return Cloud(points, {number: _observations(cells, *seen) for number, seen in pixels.items()})
+    seen_by = {number: _observations(cells, *seen) for number, seen in pixels.items()}
+    return Cloud(points, seen_by, least_views)
 
 
 def hash_of(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.uint64]:

@@ -1,9 +1,11 @@
-"""KITTI submissions: depth completion and stereo 2015, as the devkits' readme.txt ask for them.
+"""KITTI submissions: depth completion and prediction, stereo 2012 and 2015, as the devkits' readme.txt ask for them.
 
-| benchmark  | names in the zip            | images   | values                                        |
-|------------|-----------------------------|----------|-----------------------------------------------|
-| depth      | 0000000000.png, in its root | 1000     | depth, metres x 256                           |
-| stereo2015 | disp_0/000000_10.png        | 200      | disparity of the left image, pixels x 256     |
+| benchmark  | names in the zip            | images | values                                    |
+|------------|-----------------------------|--------|-------------------------------------------|
+| completion | 0000000000.png, in its root | 1000   | depth, metres x 256                       |
+| prediction | the same                    | 500    | the same                                  |
+| stereo2015 | disp_0/000000_10.png        | 200    | disparity of the left image, pixels x 256 |
+| stereo2012 | 000000_10.png, in its root  | 195    | the same                                  |
 
 Values are uint16 PNG of one channel, rounded; 0 = no value, which the devkits fill from the neighbours. A disparity so
 small that it would be 0 is written as 1. The images have the size of the benchmark's own.
@@ -27,7 +29,9 @@ from priors.export.fusion import Step
 from priors.export.views import View, Views
 from priors.geometry import convert_disparity
 
-Benchmark = Literal["depth", "stereo2015"]
+Benchmark = Literal["completion", "prediction", "stereo2012", "stereo2015"]
+CAMERAS_2012 = ("image_0", "image_1", "colored_0", "colored_1")
+"""Cameras of stereo 2012, by the folders of its download."""
 DATE = (1980, 1, 1, 0, 0, 0)
 """Of every member: the same maps give the same bytes."""
 
@@ -42,27 +46,37 @@ class Rules:
     """Name in the zip, by the image's number."""
     count: int
     """Test images; numbers begin at 0."""
-    size: tuple[int, int] | None
+    size: tuple[int, int] | None = None
     """(height, width) of the test images; None where they differ."""
-    holds: str
+
+    @property
+    def holds(self) -> str:
+        """What the values are."""
+        return "disparity of the left image, pixels x 256" if self.ids is PAIR else "camera-z depth, metres x 256"
 
 
+SINGLE, PAIR = re.compile(r"(\d{10})"), re.compile(r"(\d{6})(?:_10)?")
+CROPPED = (352, 1216)
 RULES: dict[Benchmark, Rules] = {
-    "depth": Rules(re.compile(r"(\d{10})"), "{:010d}.png", 1000, (352, 1216), "camera-z depth, metres x 256"),
-    "stereo2015": Rules(
-        re.compile(r"(\d{6})(?:_10)?"), "disp_0/{:06d}_10.png", 200, None, "disparity of the left image, pixels x 256"
-    ),
+    "completion": Rules(SINGLE, "{:010d}.png", 1000, CROPPED),
+    "prediction": Rules(SINGLE, "{:010d}.png", 500, CROPPED),
+    "stereo2012": Rules(PAIR, "{:06d}_10.png", 195),
+    "stereo2015": Rules(PAIR, "disp_0/{:06d}_10.png", 200),
 }
 
 
 def benchmark_of(views: Views) -> Benchmark:
-    """Return the benchmark that the frames' ids are of; DataError where they are of none."""
-    for name, rules in RULES.items():
-        if all(rules.ids.fullmatch(id_) for id_ in views.ids):
-            return name
+    """Return the benchmark that the frames' ids, the camera and the method are of; DataError where the ids are of none.
+
+    Depth by mono is for the prediction benchmark, all other depth for completion.
+    """
+    if all(SINGLE.fullmatch(id_) for id_ in views.ids):
+        return "prediction" if views.prior.method == "mono" else "completion"
+    if all(PAIR.fullmatch(id_) for id_ in views.ids):
+        return "stereo2012" if views.drive.describe().get("camera") in CAMERAS_2012 else "stereo2015"
     raise DataError(
         f"{views.drive.name}: frame {views.ids[0]}: KITTI's test images are called 0000000000 (depth) or 000000_10 "
-        "(stereo 2015): export a prior of such images"
+        "(stereo): export a prior of such images"
     )
 
 
@@ -128,11 +142,11 @@ def _name(view: View, rules: Rules) -> str:
 
 def _codes(view: View, benchmark: Benchmark) -> tuple[npt.NDArray[np.uint16], int]:
     """Return a view's values as codes (height, width), and how many were too large."""
-    if benchmark == "depth":
+    if RULES[benchmark].ids is SINGLE:
         return codecs.encode_depth(view.depth.depth_m)
     frame = view.frame
     if frame.baseline_m is None or frame.side != "left":
-        raise DataError(f"frame {frame.id}: stereo 2015 wants disparities of a pair's left camera: name it by --camera")
+        raise DataError(f"frame {frame.id}: KITTI wants disparities of a pair's left camera: build by --camera")
     disparity_px = convert_disparity(view.depth.depth_m, frame.camera.fx, frame.baseline_m)
     codes, too_large = codecs.encode_depth(disparity_px)
     return np.where((codes == 0) & (disparity_px > 0) & (disparity_px < 1), np.uint16(1), codes), too_large

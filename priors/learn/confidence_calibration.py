@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
+from eval.calibration import calibration_error
 from priors.adapt.views import to_tensor
 from priors.learn import pair_file
 from priors.learn.eye_views import RIGHT
@@ -26,7 +27,7 @@ from priors.learn.stereo_augment import augment
 from priors.learn.stereo_data import Folders, find_sources
 from priors.learn.stereo_pair import StereoPair
 from priors.nets import runtime, weights
-from priors.nets.confidence import TERMS, ConfidenceCalibration, evidence, fit, miscalibration
+from priors.nets.confidence import TERMS, ConfidenceCalibration, evidence, fit
 from priors.nets.runtime import Ready, as_map
 from priors.types import FloatMap, Mask
 
@@ -134,7 +135,7 @@ def report(name: str, calibration: ConfidenceCalibration, pixels: CalibrationPix
     relative, outlier, squared = ratios(calibration, pixels)
     return (
         f"{name}: says {confidence.mean():.3f}, is {pixels.within.mean():.3f}; calibration error "
-        f"{miscalibration(confidence, pixels.within):.4f}; area against farthest first: AbsRel {relative:.2f}, "
+        f"{calibration_error(confidence, pixels.within):.4f}; area against farthest first: AbsRel {relative:.2f}, "
         f"D1 {outlier:.2f}, m² {squared:.2f}"
     )
 

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import ClassVar, Literal, Self
 
+from eval.calibration import Tolerance
 from priors.errors import DataError, UsageError, expect, expect_between, expect_choices
 from priors.machine import threads
 from priors.methods._completion_classical import EVERYWHERE_PX, clean_map, inverse_limits, list_samples, near_samples
@@ -58,6 +59,15 @@ class Completion(Method):
     def network(self) -> Network | None:
         """Return the network that corrects the map; None for the classical method."""
         return None if self.model == "classical" else Network(self.model, self.size, self.runtime, self.weights)
+
+    @property
+    def sure_within(self) -> Tolerance | None:
+        """Return what a network's confidence is the probability of; the classical method's is of nothing."""
+        if self.network is None:
+            return None
+        from priors.methods._completion_network import WITHIN
+
+        return Tolerance(WITHIN, "share")
 
     def unread(self) -> Mapping[str, str]:
         """Return the fields that these settings leave without effect: those of a network, and the lidar method's."""

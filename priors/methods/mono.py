@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar, Literal, Self
 
+from eval.calibration import Tolerance
 from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.machine import threads
 from priors.methods._mono_align import Aligner, Space
@@ -84,6 +85,11 @@ class Mono(Method):
         if self.align == "none" or self.align_per == "drive" or self.align_to == "auto":
             return ("image",)
         return ("image", *READS[self.align_to])
+
+    @property
+    def sure_within(self) -> Tolerance | None:
+        """Return what the confidence is the probability of, 1 m; a user's own network has none."""
+        return Tolerance(1.0, "m") if self._foreign is None else None
 
     def unread(self) -> Mapping[str, str]:
         """Return the fields that these settings leave without effect: of adapting, aligning, and our own network."""

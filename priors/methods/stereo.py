@@ -7,6 +7,7 @@ from typing import ClassVar, Literal, Self
 
 import numpy as np
 
+from eval.calibration import Tolerance
 from priors.codecs import FARTHEST_M
 from priors.errors import UsageError, expect, expect_between, expect_choices
 from priors.machine import threads
@@ -80,6 +81,11 @@ class Stereo(Method):
             return dict.fromkeys(("size", "runtime"), "--stereo.model cfnet or pcwnet")
         own = self.weights is not None and self.weights.suffix == ".onnx"
         return {"size": "weights that are no .onnx"} if own else {}
+
+    @property
+    def sure_within(self) -> Tolerance:
+        """Return what the confidence is the probability of: 1 m, and of a network 1 px."""
+        return Tolerance(classical.TOLERANCE_M, "m") if self.network is None else Tolerance(1.0, "px")
 
     @property
     def rectification(self) -> RectificationError:

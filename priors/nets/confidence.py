@@ -167,14 +167,6 @@ def falling(values: npt.NDArray[np.float64], counts: npt.NDArray[np.int64]) -> n
     return np.concatenate([np.full(int(length), mean) for mean, _, length in pools])
 
 
-def miscalibration(confidence: FloatMap, within: npt.NDArray[np.bool_], bins: int = 15) -> float:
-    """Return the expected calibration error: mean gap of confidence and share over bins of equal count."""
-    order = np.argsort(confidence, kind="stable")
-    parts = [part for part in np.array_split(order, bins) if part.size]
-    gaps = [abs(float(confidence[part].mean()) - float(within[part].mean())) * part.size for part in parts]
-    return sum(gaps) / max(1, order.size)
-
-
 def _regress(terms: FloatMap, wrong: npt.NDArray[np.bool_], far: float, rounds: int = 25) -> FloatMap:
     """Return the terms' weights, in logits: Newton's steps of a logistic regression with a small ridge."""
     used = [index for index, name in enumerate(TERMS) if name != "distance"]

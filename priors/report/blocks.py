@@ -89,10 +89,7 @@ class Figure:
 
     def svg(self, plot: Plot, number: int) -> str:
         """Return a plot as an <svg> element in the page's colours; `number` makes its ids different from others'."""
-        text = lines.svg([plot], legend=False)
-        text = text[text.index("<svg") :].strip()
-        text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>s{number}-", text)
-        return _in_colours_of_the_page(text).replace("<svg ", '<svg aria-hidden="true" ', 1)
+        return coloured_svg(lines.svg([plot], legend=False), number)
 
     def says(self, plot: Plot) -> str:
         """Say what a plot shows, for those who do not see it."""
@@ -148,6 +145,13 @@ class Commands:
 
     lines: Sequence[str]
     template: ClassVar[str] = "commands.html.j2"
+
+
+def coloured_svg(svg: str, number: int) -> str:
+    """Return an SVG file's text as an element in the page's colours; `number` makes its ids different from others'."""
+    text = svg[svg.index("<svg") :].strip()
+    text = re.sub(r'(\bid="|href="#|url\(#)', rf"\g<1>s{number}-", text)
+    return _in_colours_of_the_page(text).replace("<svg ", '<svg aria-hidden="true" ', 1)
 
 
 def _in_colours_of_the_page(svg: str) -> str:

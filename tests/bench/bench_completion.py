@@ -10,12 +10,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from eval.protocol import preset
 from eval.result import Result, score
 from eval.table import show
+from priors.bench.baselines import fill
 from priors.draw.lines import Line, Plot, write
 from priors.drives import open_drive
 from priors.errors import DataError
@@ -25,24 +25,7 @@ from priors.types import Depth, Frame
 
 SHARED = Path(__file__).resolve().parents[3] / "shared"
 DRIVE = SHARED / "data/kitti_raw/2011_09_26/2011_09_26_drive_0001_sync"
-DIAMOND = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
-FAR_M = 100.0
 Fill = Callable[[Frame, np.ndarray, np.ndarray], Depth]
-
-
-def recipe(sparse_m: np.ndarray) -> Depth:
-    """Fill a sparse map by morphology alone, near surfaces first (Ku, Harakeh, Waslander 2018: IP-Basic)."""
-    closeness = np.where(sparse_m > 0.1, FAR_M - sparse_m, 0).astype(np.float32)
-    closeness = cv2.dilate(closeness, cv2.dilate(np.pad(DIAMOND, 1), DIAMOND))  # a 5x5 diamond
-    closeness = cv2.morphologyEx(closeness, cv2.MORPH_CLOSE, np.ones((5, 5), np.uint8))
-    closeness = np.where(closeness > 0.1, closeness, cv2.dilate(closeness, np.ones((7, 7), np.uint8)))
-    first = np.argmax(closeness > 0.1, axis=0)
-    top = closeness[first, np.arange(closeness.shape[1])]
-    closeness = np.where(np.arange(closeness.shape[0])[:, None] < first, top, closeness)
-    closeness = np.where(closeness > 0.1, closeness, cv2.dilate(closeness, np.ones((31, 31), np.uint8)))
-    closeness = cv2.medianBlur(closeness, 5)
-    closeness = np.where(closeness > 0.1, cv2.GaussianBlur(closeness, (5, 5), 0), closeness)
-    return Depth(np.where(closeness > 0.1, FAR_M - closeness, 0).astype(np.float32))
 
 
 def keep_lines(frame: Frame, sparse_m: np.ndarray, every: int) -> np.ndarray:
@@ -58,16 +41,16 @@ def keep_lines(frame: Frame, sparse_m: np.ndarray, every: int) -> np.ndarray:
     return kept
 
 
-def clock(fill: Callable[..., Depth], *given: Any) -> float:
+def clock(make: Callable[..., Depth], *given: Any) -> float:
     """Return how many milliseconds one call takes."""
     start = time.perf_counter()
-    fill(*given)
+    make(*given)
     return 1e3 * (time.perf_counter() - start)
 
 
 def fills(weights: Path | None) -> dict[str, Fill]:
     """Return the methods compared; the network only where its weights are."""
-    found: dict[str, Fill] = {"recipe": lambda frame, image, sparse_m: recipe(sparse_m)}
+    found: dict[str, Fill] = {"recipe": lambda frame, image, sparse_m: Depth(fill(sparse_m))}
     found["completion"] = lambda frame, image, sparse_m: complete(sparse_m, image, frame.camera, frame.T_cam_lidar)
     network = Completion(model="mffnet", weights=weights)
     try:
@@ -83,7 +66,7 @@ def time_all(held: list, methods: dict[str, Fill], rounds: int) -> None:
     spent = []
     for _ in range(rounds + 1):
         for frame, image, sparse_m, _ in held:
-            spent.append([clock(fill, frame, image, sparse_m) for fill in methods.values()])
+            spent.append([clock(make, frame, image, sparse_m) for make in methods.values()])
     table = np.array(spent[len(held) :])  # the first round warms up
     for name, ms in zip(methods, table.T, strict=True):
         ratio = np.median(ms / table[:, 0])
@@ -92,11 +75,11 @@ def time_all(held: list, methods: dict[str, Fill], rounds: int) -> None:
 
 def score_all(held: list, methods: dict[str, Fill], every: int = 1) -> list[Result]:
     results = []
-    for name, fill in methods.items():
+    for name, make in methods.items():
         scored = []
         for frame, image, sparse_m, truth_m in held:
             samples = sparse_m if every == 1 else keep_lines(frame, sparse_m, every)
-            depth = fill(frame, image, samples)
+            depth = make(frame, image, samples)
             scored.append((frame.id, depth.depth_m, depth.confidence, truth_m))
         results.append(score(scored, preset("uncapped"), info={"prior": name}))
     return results

@@ -11,7 +11,7 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
+from scored import score
 
 from nerf import fields
 from nerf.config import FitConfig, ModelConfig
@@ -24,7 +24,7 @@ from priors import cache
 from priors.drives import open_drive
 from priors.machine import threads
 
-WARM_STEPS, FARTHEST_M = 3, 80.0
+WARM_STEPS = 3
 
 
 def main() -> None:
@@ -67,20 +67,6 @@ def fit(scene: Scene, config: FitConfig, budget_s: float) -> tuple[Model, int]:
         model.train(scene, config, steps, spent_s / budget_s)
         steps += 1
     return model, steps
-
-
-def score(scene: Scene, truths: Truths, model: Model) -> tuple[float, float]:
-    """Return PSNR and AbsRel of the held-out views."""
-    psnr, abs_rel = [], []
-    for position in scene.test:
-        view = model.render(scene.T_world_cam[position], scene.camera)
-        psnr.append(-10 * np.log10(np.mean((np.clip(view.rgb, 0, 1) - scene.images[position] / 255) ** 2)))
-        truth = truths(scene.ids[position])
-        if truth is not None:
-            known = (truth.depth_m > 0) & (truth.depth_m < FARTHEST_M)
-            off_m = np.abs(np.clip(view.depth_m[known], 1e-3, FARTHEST_M) - truth.depth_m[known])
-            abs_rel.append(np.mean(off_m / truth.depth_m[known]))
-    return float(np.mean(psnr)), float(np.mean(abs_rel)) if abs_rel else np.nan
 
 
 if __name__ == "__main__":

@@ -29,8 +29,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the commands have it
 
 import cv2
 import numpy as np
-from stereo_contestants import sgbm
 
+from priors.bench.baselines import Sgbm
 from priors.drives import DriveOptions, open_drive
 from priors.machine import cpu
 from priors.machine.memory import keep_freed
@@ -115,17 +115,18 @@ def measure(options: argparse.Namespace) -> dict[str, Any]:
     runs = {(net, how): method(net, how, frame) for net, how in counted}
     now = time.process_time if options.processor_time else time.perf_counter
     seconds: dict[Any, list[float]] = {key: [] for key in ("sgbm", *runs)}
-    peer: list[float] = []
+    peer = Sgbm(max_disparity_px=192, offset_px=NONE.offset_px)
+    theirs_s: list[float] = []
     for count in range(options.rounds + 1):
         for key, run in runs.items():
-            theirs, ours = clock(lambda: sgbm(frame), now), clock(run, now)
+            theirs, ours = clock(lambda: peer(frame), now), clock(run, now)
             if count:
-                peer.append(theirs)
+                theirs_s.append(theirs)
                 seconds[key].append(ours / theirs)
     ratios: dict[str, dict[str, float]] = {}
     for net, how in runs:
         ratios.setdefault(net, {})[how] = round(float(np.median(seconds[net, how])), 2)
-    return {"sgbm_ms": 1e3 * float(np.median(peer)), "ratios": ratios}
+    return {"sgbm_ms": 1e3 * float(np.median(theirs_s)), "ratios": ratios}
 
 
 def counts(net: str, how: str, kind: Any) -> bool:

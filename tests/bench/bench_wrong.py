@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
+from scored import fitted
 
 from nerf import fields
 from nerf.config import Align, FitConfig, ModelConfig
 from nerf.evidence.check import check
-from nerf.fit import fit
 from nerf.prepare import SceneConfig, open_scene
 from nerf.scene import Scene
 from nerf.truths import Truths
@@ -26,7 +26,7 @@ from priors.drives import open_drive
 from priors.machine import threads
 
 Floats = npt.NDArray[np.float32]
-SHARE, BLOB_PX, DRIFT, FARTHEST_M = 0.3, 20, 0.2, 80.0
+SHARE, BLOB_PX, DRIFT = 0.3, 20, 0.2
 
 
 def main() -> None:
@@ -57,17 +57,8 @@ def row(scene: Scene, truths: Truths, case: tuple[str, str, Align], steps: int) 
     if align != "none":
         scene = check(scene).scene
     config = FitConfig(ModelConfig(family), steps=steps, seconds=None, align=align)
-    with tempfile.TemporaryDirectory() as folder:
-        model = fit(scene, config, Path(folder))
-    psnr, abs_rel = [], []
-    for position in scene.test:
-        view, truth = model.render(scene.T_world_cam[position], scene.camera), truths(scene.ids[position])
-        psnr.append(-10 * np.log10(np.mean((view.rgb.clip(0, 1) - scene.images[position] / 255) ** 2)))
-        if truth is not None:
-            known = (truth.depth_m > 0) & (truth.depth_m < FARTHEST_M)
-            off = np.abs(view.depth_m[known].clip(1e-3, FARTHEST_M) - truth.depth_m[known])
-            abs_rel.append(np.mean(off / truth.depth_m[known]))
-    print(f"| {' | '.join(case)} | {np.mean(psnr):.2f} | {np.mean(abs_rel):.4f} |", flush=True)
+    psnr, abs_rel = fitted(scene, truths, config)
+    print(f"| {' | '.join(case)} | {psnr:.2f} | {abs_rel:.4f} |", flush=True)
 
 
 def at_random(depth_m: Floats, factor: float) -> Floats:

@@ -33,12 +33,12 @@ from nerf.kernels.cpu import splat_blend, splat_pixels, splat_project, splat_unb
 from nerf.kernels.cpu.splat_blend import Picture, Rules
 from nerf.kernels.cpu.splat_pixels import Packed
 from nerf.kernels.cpu.splat_project import CHUNK, RECORD, REGION, Lists, Scene, View
-from nerf.kernels.cpu.splat_region import MOST_SPANS, TILES, Regions, Scratch
+from nerf.kernels.cpu.splat_region import TILES, Regions, Scratch
 from nerf.kernels.cpu.splat_shape import Lens
+from nerf.kernels.cpu.splat_train import adam as adam
+from nerf.kernels.cpu.splat_train import colour_loss as colour_loss
 from nerf.kernels.cpu.splat_unblend import Wanted
 from nerf.kernels.cpu.splat_unproject import Derivatives
-from nerf.kernels.plain.splat import adam as adam
-from nerf.kernels.plain.splat import colour_loss as colour_loss
 from priors.machine import threads
 
 
@@ -151,6 +151,8 @@ def _scene(gaussians: Gaussians, degree: int) -> Scene:
 
 
 def _flat(tensor: Tensor) -> npt.NDArray[np.float32]:
+    if tensor.dtype != torch.float32:  # lanes would read other numbers
+        raise ValueError(f"expected float32, found {tensor.dtype}")
     return tensor.detach().contiguous().numpy().reshape(-1)
 
 
@@ -208,8 +210,8 @@ def scratch(most: int) -> Iterator[Scratch]:
         room = most + most // 4
         numbers = (np.empty(room * RECORD, np.float32) for _ in range(2))
         keys, order = np.empty(2 * room, np.uint32), np.empty(2 * room, np.int32)
-        spans = np.empty(max(room * MOST_SPANS, 1), np.int32)
-        own = Scratch(next(numbers), keys, order, spans, next(numbers), np.empty(1024, np.float32))
+        masks = np.empty(room, np.uint64)
+        own = Scratch(next(numbers), keys, order, masks, next(numbers), np.empty(1024, np.float32))
     try:
         yield own
     finally:

@@ -1,71 +1,125 @@
-"""Colours of Gaussians from where they are seen, compiled, one at a time. Equals nerf/twin/splat.py, `colours`."""
+"""Colours of Gaussians from where they are seen, compiled, sixteen at a time. Equals nerf/twin/splat.py, `colours`."""
 
 import numpy as np
 
-from priors.machine.compiled import FAST, compiled
+from nerf.kernels.cpu.lanes import floats, fma, larger, load_floats, root, store
+from nerf.kernels.cpu.splat_shape import dot, pick, times
+from priors.machine.compiled import compiled
 
 # nerf.harmonics: real orthonormal harmonics of degrees 0 to 3.
 Y0, Y1 = np.float32(0.28209479177387814), np.float32(0.48860251190291987)
-Y2 = np.float32(1.0925484305920792), np.float32(0.31539156525252005), np.float32(0.5462742152960396)
-Y3 = (
-    np.float32(0.5900435899266435),
-    np.float32(2.890611442640554),
-    np.float32(0.4570457994644658),
-    np.float32(0.3731763325901154),
-    np.float32(1.445305721320277),
-)
+Y20, Y21, Y22 = np.float32(1.0925484305920792), np.float32(0.31539156525252005), np.float32(0.5462742152960396)
+Y30, Y31, Y32 = np.float32(0.5900435899266435), np.float32(2.890611442640554), np.float32(0.4570457994644658)
+Y33, Y34 = np.float32(0.3731763325901154), np.float32(1.445305721320277)
+LEAST_M = np.float32(1e-12)
+"""What is seen from nearer has no direction."""
 
 
-@compiled(fastmath=FAST)
-def fill_basis(x, y, z, used, basis):  # type: ignore[no-untyped-def]
-    """Set the first `used` harmonics of a unit direction."""
-    basis[0] = Y0
+@compiled
+def _put(words, k, value):  # type: ignore[no-untyped-def]
+    store(words, np.int64(16 * k), value)
+
+
+@compiled
+def _get(words, k):  # type: ignore[no-untyped-def]
+    return load_floats(words, np.int64(16 * k))
+
+
+@compiled
+def direction(away):  # type: ignore[no-untyped-def]
+    """Return unit directions, and 1 / length."""
+    inverse = floats(np.float32(1)) / larger(root(dot(away, away)), floats(LEAST_M))
+    return times(away, inverse), inverse
+
+
+@compiled
+def fill_basis(unit, used, words):  # type: ignore[no-untyped-def]
+    """Set the first `used` harmonics of unit directions: a harmonic 16 words."""
+    x, y, z = unit
+    _put(words, 0, floats(Y0))
     if used > 1:
-        basis[1], basis[2], basis[3] = -Y1 * y, Y1 * z, -Y1 * x
+        _put(words, 1, floats(-Y1) * y)
+        _put(words, 2, floats(Y1) * z)
+        _put(words, 3, floats(-Y1) * x)
     if used > 4:
-        xx, yy, zz = x * x, y * y, z * z
-        basis[4], basis[5], basis[7] = Y2[0] * x * y, -Y2[0] * y * z, -Y2[0] * x * z
-        basis[6], basis[8] = Y2[1] * (3 * zz - 1), Y2[2] * (xx - yy)
+        xx, yy, zz, one = x * x, y * y, z * z, floats(np.float32(1))
+        _put(words, 4, floats(Y20) * x * y)
+        _put(words, 5, floats(-Y20) * y * z)
+        _put(words, 6, floats(Y21) * fma(floats(np.float32(3)), zz, zero() - one))
+        _put(words, 7, floats(-Y20) * x * z)
+        _put(words, 8, floats(Y22) * (xx - yy))
         if used > 9:
-            basis[9], basis[15] = -Y3[0] * y * (3 * xx - yy), -Y3[0] * x * (xx - 3 * yy)
-            basis[10], basis[14] = Y3[1] * x * y * z, Y3[4] * z * (xx - yy)
-            basis[11], basis[13] = -Y3[2] * y * (5 * zz - 1), -Y3[2] * x * (5 * zz - 1)
-            basis[12] = Y3[3] * z * (5 * zz - 3)
+            three, five = floats(np.float32(3)), floats(np.float32(5))
+            _put(words, 9, floats(-Y30) * y * (three * xx - yy))
+            _put(words, 10, floats(Y31) * x * y * z)
+            _put(words, 11, floats(-Y32) * y * (five * zz - one))
+            _put(words, 12, floats(Y33) * z * (five * zz - three))
+            _put(words, 13, floats(-Y32) * x * (five * zz - one))
+            _put(words, 14, floats(Y34) * z * (xx - yy))
+            _put(words, 15, floats(-Y30) * x * (xx - three * yy))
 
 
-@compiled(fastmath=FAST)
-def slope(x, y, z, used, g, out):  # type: ignore[no-untyped-def]
-    """Set out (3,) to the derivative of sum_k g_k Y_k by the direction's parts, each on its own."""
-    out[0], out[1], out[2] = -Y1 * g[3], -Y1 * g[1], Y1 * g[2]
+@compiled
+def zero():  # type: ignore[no-untyped-def]
+    """Return 0 in all lanes."""
+    return floats(np.float32(0))
+
+
+@compiled
+def slope(unit, used, g):  # type: ignore[no-untyped-def]
+    """Return the derivative of sum_k g_k Y_k by the direction's parts, each on its own; g: 16 words a harmonic."""
+    x, y, z = unit
+    d_x, d_y, d_z = floats(-Y1) * _get(g, 3), floats(-Y1) * _get(g, 1), floats(Y1) * _get(g, 2)
     if used > 4:
-        out[0] += Y2[0] * (y * g[4] - z * g[7]) + 2 * Y2[2] * x * g[8]
-        out[1] += Y2[0] * (x * g[4] - z * g[5]) - 2 * Y2[2] * y * g[8]
-        out[2] += -Y2[0] * (y * g[5] + x * g[7]) + 6 * Y2[1] * z * g[6]
+        a, b, c = _get(g, 4), _get(g, 5), _get(g, 7)
+        double = floats(np.float32(2) * Y22) * _get(g, 8)
+        d_x = d_x + floats(Y20) * (y * a - z * c) + double * x
+        d_y = d_y + floats(Y20) * (x * a - z * b) - double * y
+        d_z = d_z - floats(Y20) * (y * b + x * c) + floats(np.float32(6) * Y21) * z * _get(g, 6)
     if used > 9:
-        xx, yy, zz = x * x, y * y, z * z
-        out[0] += -6 * Y3[0] * x * y * g[9] + Y3[1] * y * z * g[10] - Y3[2] * (5 * zz - 1) * g[13]
-        out[0] += 2 * Y3[4] * x * z * g[14] - 3 * Y3[0] * (xx - yy) * g[15]
-        out[1] += -3 * Y3[0] * (xx - yy) * g[9] + Y3[1] * x * z * g[10] - Y3[2] * (5 * zz - 1) * g[11]
-        out[1] += -2 * Y3[4] * y * z * g[14] + 6 * Y3[0] * x * y * g[15]
-        out[2] += Y3[1] * x * y * g[10] - 10 * Y3[2] * z * (y * g[11] + x * g[13])
-        out[2] += Y3[3] * (15 * zz - 3) * g[12] + Y3[4] * (xx - yy) * g[14]
+        xx, yy, zz, one = x * x, y * y, z * z, floats(np.float32(1))
+        first, last = floats(Y30) * _get(g, 9), floats(Y30) * _get(g, 15)
+        side, high = floats(Y31) * _get(g, 10), floats(Y34) * _get(g, 14)
+        left, right = floats(Y32) * _get(g, 11), floats(Y32) * _get(g, 13)
+        three, six, five = floats(np.float32(3)), floats(np.float32(6)), floats(np.float32(5))
+        two, flat = floats(np.float32(2)), xx - yy
+        ring = five * zz - one
+        d_x = d_x - six * x * y * first + y * z * side - ring * right + two * x * z * high - three * flat * last
+        d_y = d_y - three * flat * first + x * z * side - ring * left - two * y * z * high + six * x * y * last
+        d_z = d_z + x * y * side - floats(np.float32(10)) * z * (y * left + x * right) + flat * high
+        d_z = d_z + floats(Y33) * (floats(np.float32(15)) * zz - three) * _get(g, 12)
+    return d_x, d_y, d_z
 
 
-@compiled(fastmath=FAST)
-def shade(harmonics, i, count, used, direction, basis):  # type: ignore[no-untyped-def]
-    """Return the colour of Gaussian i, red, green, blue, from a direction of any length; fills basis."""
-    half, zero = np.float32(0.5), np.float32(0)
-    if used > 1:
-        x, y, z = direction
-        length = max(np.sqrt(x * x + y * y + z * z), np.float32(1e-12))
-        fill_basis(x / length, y / length, z / length, used, basis)
-    else:
-        basis[0] = Y0
+@compiled
+def shade(harmonics, stored, used, i, unit, words):  # type: ignore[no-untyped-def]
+    """Return the colours of Gaussians i (lanes), red, green, blue, from unit directions; fills the basis."""
+    fill_basis(unit, used, words)
+    half = floats(np.float32(0.5))
     red, green, blue = half, half, half
-    start = np.uint64(i) * np.uint64(3 * count)
-    for k in range(np.uint64(used)):
-        at = start + np.uint64(3) * k
-        red += basis[k] * harmonics[at]
-        green += basis[k] * harmonics[at + np.uint64(1)]
-        blue += basis[k] * harmonics[at + np.uint64(2)]
-    return max(red, zero), max(green, zero), max(blue, zero)
+    for k in range(used):
+        y = _get(words, k)
+        red = fma(y, pick(harmonics, 3 * stored, 3 * k, i), red)
+        green = fma(y, pick(harmonics, 3 * stored, 3 * k + 1, i), green)
+        blue = fma(y, pick(harmonics, 3 * stored, 3 * k + 2, i), blue)
+    return larger(red, zero()), larger(green, zero()), larger(blue, zero())
+
+
+@compiled
+def unshade(harmonics, stored, used, i, unit, d_rgb, words, out):  # type: ignore[no-untyped-def]
+    """Fill out with the derivatives by the coefficients, 16 words each, and return those by the direction's parts.
+
+    words: room for 32 harmonics.
+    """
+    fill_basis(unit, used, words)
+    g = words[256:]
+    for k in range(used):
+        y, total = _get(words, k), zero()
+        for c in range(3):
+            _put(out, 3 * k + c, y * d_rgb[c])
+            if used > 1:
+                total = fma(d_rgb[c], pick(harmonics, 3 * stored, 3 * k + c, i), total)
+        _put(g, k, total)
+    if used == 1:
+        return zero(), zero(), zero()
+    return slope(unit, used, g)

@@ -9,6 +9,7 @@ from numba.extending import intrinsic
 from nerf.kernels.cpu.lanes import (
     _F32,
     _FLOATS,
+    _I32,
     _INTS,
     WIDTH,
     Floats,
@@ -24,8 +25,6 @@ from nerf.kernels.cpu.lanes import (
     to_floats,
 )
 from priors.machine.compiled import compiled
-
-_BITS = ir.VectorType(ir.IntType(1), WIDTH)
 
 
 @intrinsic
@@ -81,42 +80,59 @@ def which(typing: Any, a: Any, least: Any) -> Any:
     return types.int64(Floats, Floats), gen
 
 
-def _first(count: int) -> ir.Constant:
-    return ir.Constant(_BITS, [lane < count for lane in range(WIDTH)])
+@intrinsic
+def low_bytes(typing: Any, value: Any) -> Any:
+    """Return the low bytes of the first 8 ints, the first the lowest."""
+
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        small = builder.trunc(args[0], ir.VectorType(ir.IntType(8), WIDTH))
+        first = ir.Constant(ir.VectorType(_I32, 8), list(range(8)))
+        return builder.bitcast(builder.shuffle_vector(small, small, first), ir.IntType(64))
+
+    return types.uint64(Ints), gen
 
 
-def _first_loader(count: int) -> Any:
-    def load(typing: Any, array: Any, index: Any) -> Any:
-        def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            place = _place(context, builder, sig.args[0], args[0], args[1], _FLOATS)
-            rest = ir.Constant(_FLOATS, [0.0] * WIDTH)
-            return _masked(builder, "load", _FLOATS, [place, ir.Constant(ir.IntType(32), 4), _first(count), rest])
+@intrinsic
+def last_bit(typing: Any, value: Any) -> Any:
+    """Return the place of the lowest bit of a word that is not 0."""
 
-        return Floats(array, types.int64), gen
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        known = ir.Constant(ir.IntType(1), 1)
+        return _call(builder, "llvm.cttz.i64", ir.IntType(64), [args[0], known])
 
-    load.__doc__ = f"Return {count} float32 of a flat array, from an index on; the other lanes are 0."
-    return intrinsic(load)
+    return types.int64(types.uint64), gen
 
 
-def _first_storer(count: int) -> Any:
-    def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
-        def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
-            place = _place(context, builder, sig.args[0], args[0], args[1], _FLOATS)
-            _masked(builder, "store", ir.VoidType(), [args[2], place, ir.Constant(ir.IntType(32), 4), _first(count)])
-            return context.get_dummy_value()
+@intrinsic
+def load_some(typing: Any, array: Any, index: Any, count: Any) -> Any:
+    """Return at most 16 float32 of a flat array, from an index on; the other lanes are 0, and not read."""
 
-        return types.void(array, types.int64, Floats), gen
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = _place(context, builder, sig.args[0], args[0], args[1], _FLOATS)
+        rest = ir.Constant(_FLOATS, [0.0] * WIDTH)
+        arguments = [place, ir.Constant(_I32, 4), _first(builder, args[2]), rest]
+        return _call(builder, "llvm.masked.load.v16f32.p0", _FLOATS, arguments)
 
-    store.__doc__ = f"Write the first {count} floats to a flat array, from an index on."
-    return intrinsic(store)
-
-
-def _masked(builder: Any, verb: str, result: Any, args: list[Any]) -> Any:
-    return _call(builder, f"llvm.masked.{verb}.v{WIDTH}f32.p0", result, args)
+    return Floats(array, types.int64, types.int64), gen
 
 
-load_one, load_three, load_four = (_first_loader(count) for count in (1, 3, 4))
-store_one, store_three, store_four = (_first_storer(count) for count in (1, 3, 4))
+@intrinsic
+def store_some(typing: Any, array: Any, index: Any, count: Any, value: Any) -> Any:
+    """Write the first floats, at most 16, to a flat array, from an index on."""
+
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        place = _place(context, builder, sig.args[0], args[0], args[1], _FLOATS)
+        arguments = [args[3], place, ir.Constant(_I32, 4), _first(builder, args[2])]
+        _call(builder, "llvm.masked.store.v16f32.p0", ir.VoidType(), arguments)
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, types.int64, Floats), gen
+
+
+def _first(builder: Any, count: Any) -> Any:
+    """Emit a mask of the first lanes."""
+    most = everywhere(builder, builder.trunc(count, _I32), _INTS)
+    return builder.icmp_signed("<", ir.Constant(_INTS, list(range(WIDTH))), most)
 
 
 @compiled

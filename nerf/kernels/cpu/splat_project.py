@@ -11,6 +11,7 @@ import numpy.typing as npt
 from nerf.kernels.cpu.lanes import (
     floats,
     fma,
+    gather,
     ints,
     larger,
     load_floats,
@@ -21,7 +22,7 @@ from nerf.kernels.cpu.lanes import (
     transpose,
     truncate,
 )
-from nerf.kernels.cpu.splat_colour import shade
+from nerf.kernels.cpu.splat_colour import direction, shade, zero
 from nerf.kernels.cpu.splat_lanes import binary_logarithm, lanes, picked, which
 from nerf.kernels.cpu.splat_shape import (
     Lens,
@@ -49,8 +50,8 @@ X, Y, XX, XY, YY, LOG, RED, GREEN, BLUE, CAPPED, DEPTH, WIDE, REACH, NARROW = ra
 """What stands where in a record: the mean, pixels; the exponent's coefficients and the opacity's logarithm, base 2, so
 that alpha = 2^(XX dx^2 + XY dx dy + YY dy^2 + LOG); the colour; min(z, cap) and z; half the box's width; LOG less the
 least alpha's; XX YY - XY^2 / 4 without cancellation."""
-BOX, AWAY = 256, 320
-"""Where the buffer of 16 has their boxes, and their means less the camera's centre, behind the records."""
+BOX = 256
+"""Where a buffer of 16 has their boxes, behind the records."""
 LEAST_DET = 1.2e-38
 TO_BASE_2 = np.float32(1.4426950408889634)
 Numbers = npt.NDArray[np.float32]
@@ -110,29 +111,52 @@ class Lists(NamedTuple):
 @compiled
 def project(scene: Scene, lens: Lens, view: View, first: int, last: int) -> None:
     """Project chunks first to last - 1."""
-    n = len(scene.opacities)
-    buffer, basis = np.empty(AWAY + 64, np.float32), np.empty(16, np.float32)
+    n, boxes, records, which = len(scene.opacities), view.boxes, view.records, view.gaussian
+    buffer, words = np.empty(BOX + 64, np.float32), np.empty(256, np.float32)
     for chunk in range(first, last):
-        row = chunk * CHUNK
+        row = np.int64(chunk * CHUNK)
         for i in range(chunk * CHUNK, min(n, (chunk + 1) * CHUNK), 16):
             seen = _sixteen(scene, lens, i, buffer)
-            lane = 0
+            lane = np.int64(0)
             while seen:
                 if seen & 1:
-                    _keep(scene, view, buffer, basis, i + lane, lane, row)
+                    store(records, RECORD * row, load_floats(buffer, RECORD * lane))
+                    for k in range(4):
+                        boxes[np.uint64(4 * row + k)] = np.int32(buffer[np.uint64(BOX + 16 * k + lane)])
+                    which[np.uint64(row)] = i + lane
                     row += 1
                 lane += 1
                 seen >>= 1
         view.found[chunk] = row - chunk * CHUNK
+        _shade(scene, lens, records, which, chunk * CHUNK, row, words)
         _count(lens, view, chunk)
+
+
+@compiled
+def _shade(scene, lens, records, which, first, last, words):  # type: ignore[no-untyped-def]
+    """Write the colours of rows first to last - 1."""
+    for row in range(first, last, 16):
+        i = gather(which, np.int64(0), smaller(ints(np.int32(row)) + lanes(), ints(np.int32(last - 1))))
+        unit = zero(), zero(), zero()
+        if scene.used > 1:
+            _, away = place(scene.means_m, lens, i)
+            unit, _ = direction(away)
+        red, green, blue = shade(scene.harmonics, scene.stored, scene.used, i, unit, words)
+        store(words, np.int64(0), red)
+        store(words, np.int64(16), green)
+        store(words, np.int64(32), blue)
+        for lane in range(min(16, last - row)):
+            at = np.uint64(RECORD * (row + lane) + RED)
+            for c in range(3):
+                records[at + np.uint64(c)] = words[np.uint64(16 * c + lane)]
 
 
 @compiled
 def _sixteen(scene, lens, first, buffer):  # type: ignore[no-untyped-def]
     """Project 16 Gaussians into a buffer: their records, then their boxes. Returns a bit for each that is in view."""
-    n, zero, one = len(scene.opacities), floats(np.float32(0)), floats(np.float32(1))
+    n, none, one = len(scene.opacities), zero(), floats(np.float32(1))
     i = smaller(ints(np.int32(first)) + lanes(), ints(np.int32(n - 1)))
-    p, away = place(scene.means_m, lens, i)
+    p, _ = place(scene.means_m, lens, i)
     near = floats(lens.near_m)
     seen = which(p[2], near) & ((1 << min(16, n - first)) - 1)
     if not seen:
@@ -148,7 +172,7 @@ def _sixteen(scene, lens, first, buffer):  # type: ignore[no-untyped-def]
         opacity = opacity * root(area / det)
     least = floats(lens.least_alpha)
     log = binary_logarithm(opacity)
-    reach = larger(log - binary_logarithm(least), zero)
+    reach = larger(log - binary_logarithm(least), none)
     mx = fma(x, floats(lens.focal[0]), floats(lens.middle[0]))
     my = fma(y, floats(lens.focal[1]), floats(lens.middle[1]))
     double, margin = floats(np.float32(2) / TO_BASE_2) * reach, floats(np.float32(BOX_MARGIN_PX))
@@ -159,9 +183,8 @@ def _sixteen(scene, lens, first, buffer):  # type: ignore[no-untyped-def]
     _store_four(buffer, 0, mx, my, half * scale * c, scale * b)
     _store_four(buffer, 4, half * scale * a, log, one, one)
     _store_four(buffer, 8, one, smaller(z, floats(lens.cap_m)), z, wide)
-    _store_four(buffer, 12, reach, floats(np.float32(0.25) * TO_BASE_2) * scale, zero, zero)
+    _store_four(buffer, 12, reach, floats(np.float32(0.25) * TO_BASE_2) * scale, none, none)
     _store_four(buffer, 16, left, right, top, bottom)
-    _store_four(buffer, 20, away[0], away[1], away[2], zero)
     transpose(buffer, np.int64(0), np.int64(0))
     seen &= which(opacity, least) & which(det, floats(np.float32(LEAST_DET)))
     return seen & which(right, left) & which(bottom, top)
@@ -187,39 +210,28 @@ def _span(middle, half, size):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _keep(scene, view, buffer, basis, i, lane, row):  # type: ignore[no-untyped-def]
-    """Write the record and the box of one Gaussian."""
-    out = np.uint64(RECORD) * np.uint64(row)
-    store(view.records, np.int64(out), load_floats(buffer, np.int64(RECORD * lane)))
-    away = buffer[AWAY + lane], buffer[AWAY + 16 + lane], buffer[AWAY + 32 + lane]
-    red, green, blue = shade(scene.harmonics, i, scene.stored, scene.used, away, basis)
-    view.records[out + np.uint64(RED)] = red
-    view.records[out + np.uint64(GREEN)] = green
-    view.records[out + np.uint64(BLUE)] = blue
-    for k in range(4):
-        view.boxes[4 * row + k] = np.int32(buffer[BOX + 16 * k + lane])
-    view.gaussian[row] = i
-
-
-@compiled
 def _count(lens, view, chunk):  # type: ignore[no-untyped-def]
     """Count in which regions a chunk's Gaussians are, and in how many tiles there."""
     across = (lens.size[1] + REGION - 1) // REGION
     start = chunk * (across * ((lens.size[0] + REGION - 1) // REGION))
+    boxes, copies, entries = view.boxes, view.copies, view.entries
     for row in range(chunk * CHUNK, chunk * CHUNK + view.found[chunk]):
-        left, right, top, bottom = box(view.boxes, row)
+        left, right, top, bottom = box(boxes, row)
         for v in range(top // REGION, bottom // REGION + 1):
             tall = min(bottom, v * REGION + REGION - 1) // TILE - max(top, v * REGION) // TILE + 1
             for u in range(left // REGION, right // REGION + 1):
                 wide = min(right, u * REGION + REGION - 1) // TILE - max(left, u * REGION) // TILE + 1
-                view.copies[start + v * across + u] += 1
-                view.entries[start + v * across + u] += wide * tall
+                at = np.uint64(start + v * across + u)
+                copies[at] += 1
+                entries[at] += wide * tall
 
 
 @compiled
 def box(boxes, row):  # type: ignore[no-untyped-def]
     """Return the first and last column, the first and last row of a Gaussian's pixels."""
-    return boxes[4 * row], boxes[4 * row + 1], boxes[4 * row + 2], boxes[4 * row + 3]
+    at = np.uint64(4 * row)
+    left, right = boxes[at], boxes[at + np.uint64(1)]
+    return left, right, boxes[at + np.uint64(2)], boxes[at + np.uint64(3)]
 
 
 @compiled

@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerf.kernels.cpu.lanes import load_floats, store
+from nerf.kernels.cpu.lanes import floats, fma, ints, larger, load_floats, root, smaller, store, to_floats, truncate
+from nerf.kernels.cpu.splat_lanes import lanes, last_bit, low_bytes, spread
 from nerf.kernels.cpu.splat_project import (
     DEPTH,
     NARROW,
@@ -27,11 +28,11 @@ from nerf.kernels.cpu.splat_project import (
 from priors.machine.compiled import compiled
 
 TILES = (REGION // TILE) ** 2
-MOST_SPANS = REGION // TILE
+SIDE = REGION // TILE
 """Rows of tiles of a region."""
 
-SLACK_PX = np.float32(0.01)
-"""Ellipses reach so much farther: rounding must not lose a pixel."""
+SLACK_PX, SLACK_SHARE = np.float32(0.01), np.float32(5e-4)
+"""Ellipses reach so much farther, and such a share of their half width."""
 
 
 class Regions(NamedTuple):
@@ -58,8 +59,8 @@ class Scratch(NamedTuple):
     """(2 * most,)"""
     order: Indices
     """(2 * most,)"""
-    spans: Indices
-    """(most * MOST_SPANS,)"""
+    masks: npt.NDArray[np.uint64]
+    """(most,)"""
     sums: Numbers
     """(most * RECORD,) what a region adds to its members' gradients."""
     words: Numbers
@@ -84,12 +85,14 @@ def arrange(view: View, size: tuple[int, int], regions: Regions, scratch: Scratc
     for k in range(count):
         scratch.order[k] = k
     _sort(_take_keys(view, regions, scratch, first, count), scratch, count)
-    for k in range(2 * count):
-        scratch.spans[k] = regions.members[2 * first + k]
+    members, masks, order = regions.members, scratch.masks, scratch.order
     for k in range(count):
-        member = scratch.order[k]
-        regions.members[2 * (first + k)] = scratch.spans[2 * member]
-        regions.members[2 * (first + k) + 1] = scratch.spans[2 * member + 1]
+        row, copy = members[2 * (first + k)], members[2 * (first + k) + 1]
+        masks[k] = np.uint64(row) << np.uint64(32) | np.uint64(copy)
+    for k in range(count):
+        both = masks[order[k]]
+        members[2 * (first + k)] = np.int32(both >> np.uint64(32))
+        members[2 * (first + k) + 1] = np.int32(both & np.uint64(0xFFFFFFFF))
     fetch(view, regions, scratch, region)
     across = (size[1] + REGION - 1) // REGION
     corner = (region % across) * REGION, (region // across) * REGION
@@ -139,65 +142,63 @@ def _sort(most, scratch, count):  # type: ignore[no-untyped-def]
 
 @compiled
 def _list(view, regions, scratch, region, corner):  # type: ignore[no-untyped-def]
-    """Fill the lists of a region's tiles: those that a Gaussian's ellipse reaches."""
-    first, ends = regions.first_member[region], (TILES + 1) * region
+    """Fill the lists of a region's tiles: those that a Gaussian's ellipse reaches. A bit of a word is a tile."""
+    first, ends = regions.first_member[region], regions.ends[(TILES + 1) * region :]
+    members, boxes, records, masks = regions.members, view.boxes, scratch.records, scratch.masks
+    count, every = regions.first_member[region + 1] - first, np.uint64(0xFFFFFFFFFFFFFFFF)
     for tile in range(TILES + 1):
-        regions.ends[ends + tile] = 0
-    spans = 0
-    for k in range(regions.first_member[region + 1] - first):
-        left, right, top, bottom = box(view.boxes, regions.members[2 * (first + k)])
+        ends[tile] = 0
+    for k in range(count):
+        left, right, top, bottom = box(boxes, members[np.uint64(2 * (first + k))])
         left, right = max(left - corner[0], 0) // TILE, min(right - corner[0], REGION - 1) // TILE
         low, high = max(top - corner[1], 0) // TILE, min(bottom - corner[1], REGION - 1) // TILE
-        for v in range(low, high + 1):
-            start, stop = left, right
-            if right > left and bottom // TILE > top // TILE:
-                start, stop = _reach(scratch.records, k, corner, v, left, right)
-            for u in range(start, stop + 1):
-                regions.ends[ends + MOST_SPANS * v + u + 1] += 1
-            if stop >= start:
-                scratch.spans[spans] = start | stop << 3 | v << 6 | k << 9
-                spans += 1
+        columns = (np.uint64(2) << np.uint64(right)) - (np.uint64(1) << np.uint64(left))
+        mask = columns * np.uint64(0x0101010101010101)
+        mask &= (every >> np.uint64(56 - 8 * high)) & (every << np.uint64(8 * low))
+        if right > left and high > low:
+            mask &= _reach(records, RECORD * k, corner)
+        masks[k] = mask
+        while mask:
+            ends[np.uint64(last_bit(mask) + 1)] += 1
+            mask &= mask - np.uint64(1)
     for tile in range(TILES):
-        regions.ends[ends + tile + 1] += regions.ends[ends + tile]
-    cursor = np.empty(TILES, np.int64)
+        ends[tile + 1] += ends[tile]
+    cursor, entries = np.empty(TILES, np.int64), regions.entries
     for tile in range(TILES):
-        cursor[tile] = regions.first_entry[region] + regions.ends[ends + tile]
-    for k in range(spans):
-        span = scratch.spans[k]
-        v = span >> 6 & 7
-        for u in range(span & 7, (span >> 3 & 7) + 1):
-            tile = MOST_SPANS * v + u
-            regions.entries[cursor[tile]] = span >> 9
-            cursor[tile] += 1
+        cursor[tile] = regions.first_entry[region] + ends[tile]
+    for k in range(count):
+        rest = masks[k]
+        while rest:
+            here = np.uint64(last_bit(rest))
+            place = cursor[here]
+            entries[np.uint64(place)] = k
+            cursor[here] = place + 1
+            rest &= rest - np.uint64(1)
 
 
-@compiled(error_model="numpy")
-def _reach(records, k, corner, v, left, right):  # type: ignore[no-untyped-def]
-    """Return the first and last tile of a row of tiles that an ellipse reaches, of those from left to right.
+@compiled
+def _reach(records, at, corner):  # type: ignore[no-untyped-def]
+    """Return a bit for each tile of a region whether an ellipse reaches it.
 
-    The ellipse is xx dx^2 + xy dx dy + yy dy^2 + log = log of the least alpha. Along a band of dy its ends in x are its
-    own where they lie in the band, else those of the band's nearer side.
+    The ellipse is xx dx^2 + xy dx dy + yy dy^2 = -reach, xx and yy below 0. Along a band of rows its end in x is its
+    own where that lies in the band, else where the band's nearer side cuts it. A lane is a row of tiles.
     """
-    at = np.uint64(RECORD) * np.uint64(k)
-    mx, my = records[at + np.uint64(X)] - corner[0], records[at + np.uint64(Y)] - corner[1]
-    xx, xy, yy = records[at + np.uint64(XX)], records[at + np.uint64(XY)], records[at + np.uint64(YY)]
-    wide, reach, narrow = records[at + np.uint64(WIDE)], records[at + np.uint64(REACH)], records[at + np.uint64(NARROW)]
-    above, below = TILE * v - my - SLACK_PX, TILE * v + (TILE - 1) - my + SLACK_PX
-    turn = np.float32(-0.5) * xy / yy * wide  # dy of the ellipse's right end
-    low, high = -wide, wide
-    if not above <= -turn <= below:
-        low = _side(xx, xy, narrow, reach, above if -turn < above else below, np.float32(-1))
-    if not above <= turn <= below:
-        high = _side(xx, xy, narrow, reach, above if turn < above else below, np.float32(1))
-    if not low <= high:  # lost to rounding: the whole box
-        return left, right
-    start = min(max(np.ceil((mx + low - SLACK_PX - (TILE - 1)) / TILE), np.float32(left)), np.float32(right + 1))
-    stop = max(min(np.floor((mx + high + SLACK_PX) / TILE), np.float32(right)), np.float32(left - 1))
-    return int(start), int(stop)
-
-
-@compiled(error_model="numpy", inline="always")
-def _side(xx, xy, narrow, reach, dy, sign):  # type: ignore[no-untyped-def]
-    """Return where a row at dy leaves the ellipse: xx dx^2 + xy dx dy + yy dy^2 = -reach, xx below 0."""
-    root = np.sqrt(max(-xx * reach - narrow * dy * dy, np.float32(0)))
-    return (np.float32(-0.5) * xy * dy - sign * root) / xx
+    xx, xy = spread(records, at + XX), spread(records, at + XY)
+    wide, narrow = spread(records, at + WIDE), spread(records, at + NARROW)
+    none, one, half = floats(np.float32(0)), floats(np.float32(1)), floats(np.float32(-0.5))
+    mx = spread(records, at + X) - floats(np.float32(corner[0]))
+    above = to_floats((lanes() & ints(SIDE - 1)) * ints(TILE)) - floats(SLACK_PX)
+    above = above - (spread(records, at + Y) - floats(np.float32(corner[1])))
+    below = above + floats(np.float32(TILE - 1) + np.float32(2) * SLACK_PX)
+    turn = half * xy / spread(records, at + YY) * wide  # dy of the ellipse's right end
+    slack = fma(floats(SLACK_SHARE), wide, floats(SLACK_PX))  # rounding must not lose a pixel
+    inverse, base = one / xx, none - xx * spread(records, at + REACH)
+    dy = smaller(larger(turn, above), below)
+    right = (half * xy * dy - root(larger(base - narrow * dy * dy, none))) * inverse + slack
+    dy = smaller(larger(none - turn, above), below)
+    left = (half * xy * dy + root(larger(base - narrow * dy * dy, none))) * inverse - slack
+    side, share = floats(np.float32(SIDE)), floats(np.float32(1 / TILE))
+    stop = truncate(smaller(larger(fma(mx + right, share, one), none), side))
+    start = smaller(larger(fma(mx + left, share, floats(np.float32(-(TILE - 1) / TILE))), none), side)
+    start = ints(SIDE) - truncate(side - start)
+    return low_bytes(larger((ints(1) << stop) - (ints(1) << start), ints(0)))

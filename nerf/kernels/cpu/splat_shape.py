@@ -40,7 +40,7 @@ class Lens(NamedTuple):
 @compiled
 def pick(array, columns, column, i):  # type: ignore[no-untyped-def]
     """Return one column of rows i (lanes) of a flat float32 array."""
-    return from_bits(gather(array, np.int64(column), i * ints(columns)))
+    return from_bits(gather(array, np.int64(column), i * ints(np.int32(columns))))
 
 
 @compiled

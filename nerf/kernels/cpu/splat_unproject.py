@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerf.kernels.cpu.lanes import floats, fma, load_floats, load_ints, root, store, transpose
-from nerf.kernels.cpu.splat_colour import Y0, fill_basis, slope
-from nerf.kernels.cpu.splat_lanes import kept, picked
+from nerf.kernels.cpu.lanes import floats, fma, ints, load_floats, load_ints, root, store, transpose
+from nerf.kernels.cpu.splat_colour import direction, unshade, zero
+from nerf.kernels.cpu.splat_lanes import kept, lanes, picked, store_some
 from nerf.kernels.cpu.splat_project import CHUNK, LEAST_DET, RECORD, RED, Lists, Numbers, Scene, View
 from nerf.kernels.cpu.splat_shape import (
     Lens,
@@ -61,23 +61,28 @@ def unproject(
 ) -> None:
     """Set the derivatives of chunks first to last - 1."""
     words, which = np.empty(OUT + 32 * 16, np.float32), np.empty(16, np.int32)
-    small = np.empty(64, np.float32)
+    room, twist = np.empty(512 + 48 * 16, np.float32), np.empty(6 * 16, np.float32)
     for chunk in range(first, last):
         start, found = lists.first_index[chunk], view.found[chunk]
-        for k in range(6):
-            out.twists[6 * chunk + k] = 0
+        for axis in range(6):
+            store(twist, np.int64(16 * axis), zero())
         for k in range(0, found, 16):
-            count = min(16, found - k)
+            count, row = min(16, found - k), chunk * CHUNK + k
             for lane in range(16):
-                which[lane] = view.gaussian[chunk * CHUNK + k + min(lane, count - 1)]
+                which[np.uint64(lane)] = view.gaussian[np.uint64(row + min(lane, count - 1))]
             _gather(lists, parts, words, start + k, count)
             _sixteen(scene, lens, words, which)
-            for lane in range(count):
-                _colour(scene, lens, view, out, words, small, chunk * CHUNK + k + lane, lane, start + k + lane)
+            _colour(scene, lens, view.records, row, words, room, which)
+            for axis in range(6):
+                step = load_floats(words, np.int64(OUT + 16 * (TWIST + axis)))
+                store(twist, np.int64(16 * axis), load_floats(twist, np.int64(16 * axis)) + step)
             _scatter(out, words, start + k, count)
-            for lane in range(count):
-                for axis in range(6):
-                    out.twists[6 * chunk + axis] += words[OUT + 16 * (TWIST + axis) + lane]
+            _scatter_harmonics(out.harmonics, room, scene.used, start + k, count)
+        for axis in range(6):
+            total = 0.0
+            for lane in range(16):
+                total += twist[16 * axis + lane]
+            out.twists[6 * chunk + axis] = total
 
 
 @compiled
@@ -107,7 +112,7 @@ def _store_three(words, k, vector):  # type: ignore[no-untyped-def]
 @compiled
 def _sixteen(scene, lens, words, which):  # type: ignore[no-untyped-def]
     """Write the derivatives of 16 Gaussians: mean (3), log scales (3), quaternion (4), logit, screen, twist (6)."""
-    i, zero, one = load_ints(which, np.int64(0)), floats(np.float32(0)), floats(np.float32(1))
+    i, none, one = load_ints(which, np.int64(0)), zero(), floats(np.float32(1))
     p, _ = place(scene.means_m, lens, i)
     q, inverse = quaternion(scene.rotations, i)
     s = scales(scene.log_scales, i)
@@ -117,13 +122,13 @@ def _sixteen(scene, lens, words, which):  # type: ignore[no-untyped-def]
     d_x, d_y, d_row0, d_row1 = _image(lens, words, row0, row1)
     fx, fy = floats(lens.focal[0]) / p[2], floats(lens.focal[1]) / p[2]
     # rows: (V0 - tx V2) fx / z and (V1 - ty V2) fy / z, made smaller
-    d_z = zero - (dot(d_row0, row0) + dot(d_row1, row1)) / p[2]
+    d_z = none - (dot(d_row0, row0) + dot(d_row1, row1)) / p[2]
     d_v0, d_v1 = times(d_row0, fx * shrink), times(d_row1, fy * shrink)
-    d_v2 = plus(times(d_v0, zero - tx), times(d_v1, zero - ty))
+    d_v2 = plus(times(d_v0, none - tx), times(d_v1, none - ty))
     d_axes = d_v0, d_v1, d_v2
     # slopes x / z and y / z: of the shape where they are not held, and of the mean in the image
-    d_tx = fma(d_x, fx, _between(x, lens.reach_x, zero - dot(d_v0, axes[2])) / p[2])
-    d_ty = fma(d_y, fy, _between(y, lens.reach_y, zero - dot(d_v1, axes[2])) / p[2])
+    d_tx = fma(d_x, fx, _between(x, lens.reach_x, none - dot(d_v0, axes[2])) / p[2])
+    d_ty = fma(d_y, fy, _between(y, lens.reach_y, none - dot(d_v1, axes[2])) / p[2])
     d_z = d_z - fma(d_tx, x, d_ty * y) + kept(floats(lens.cap_m), p[2], _sum(words, D_DEPTH))
     d_p = d_tx, d_ty, d_z
     right, down, ahead = constants(lens.right), constants(lens.down), constants(lens.ahead)
@@ -144,11 +149,11 @@ def _sixteen(scene, lens, words, which):  # type: ignore[no-untyped-def]
 @compiled
 def _image(lens, words, row0, row1):  # type: ignore[no-untyped-def]
     """Return the derivatives by the mean's place in the image and by the rows of J V."""
-    half, minus_two, zero = floats(np.float32(0.5)), floats(np.float32(-2)), floats(np.float32(0))
+    half, minus_two, none = floats(np.float32(0.5)), floats(np.float32(-2)), zero()
     a, b, c, area, det, normal = covariance(lens, row0, row1)
-    ca, cb, cc = c / det, zero - b / det, a / det  # the conic
+    ca, cb, cc = c / det, none - b / det, a / det  # the conic
     gx, gy, logit = _sum(words, GX), _sum(words, GY), _sum(words, G)
-    d_ca, d_cb, d_cc = zero - half * _sum(words, GXX), zero - half * _sum(words, GXY), zero - half * _sum(words, GYY)
+    d_ca, d_cb, d_cc = none - half * _sum(words, GXX), none - half * _sum(words, GXY), none - half * _sum(words, GYY)
     # conic (J V) by triple products: row0 |row1|^2 - row1 (row0 . row1) would cancel in a needle
     low, by0, by1 = floats(lens.low_pass_px2), cross(row1, normal), cross(normal, row0)
     flat0, flat1 = divided(plus(by0, times(row0, low)), det), divided(plus(by1, times(row1, low)), det)
@@ -207,52 +212,54 @@ def _turn(q, d):  # type: ignore[no-untyped-def]
 
 
 @compiled
-def _colour(scene, lens, view, out, words, small, row, lane, at):  # type: ignore[no-untyped-def]
-    """Write the derivatives by a Gaussian's harmonics, and add those by where it is seen from to mean and twist.
+def _colour(scene, lens, records, row, words, room, which):  # type: ignore[no-untyped-def]
+    """Fill room with the derivatives of 16 Gaussians' harmonics; add those by their directions to mean and twist.
 
-    row: of the view; lane: of the words; at: the Gaussian's place among those in view.
+    row: of the view, the first of them.
     """
-    i, record = np.int64(view.gaussian[row]), np.int64(RECORD) * row
-    used, d = scene.used, small[:3]
-    for c in range(3):  # a colour below 0 is held there
-        d[c] = words[16 * (D_RED + c) + lane] if view.records[record + RED + c] > 0 else np.float32(0)
-    if used == 1:
-        for c in range(3):
-            out.harmonics[3 * at + c] = Y0 * d[c]
+    i, lane = load_ints(which, np.int64(0)), lanes() + ints(np.int32(row))
+    d_rgb = (_lit(records, lane, words, 0), _lit(records, lane, words, 1), _lit(records, lane, words, 2))
+    unit, inverse = (zero(), zero(), zero()), zero()
+    if scene.used > 1:
+        _, away = place(scene.means_m, lens, i)
+        unit, inverse = direction(away)
+    d_unit = unshade(scene.harmonics, scene.stored, scene.used, i, unit, d_rgb, room[:512], room[512:])
+    if scene.used == 1:
         return
-    basis, g, d_away, away = small[16:32], small[32:48], small[4:7], small[8:11]
-    squared = np.float32(0)
+    d_away = times(minus(d_unit, times(unit, dot(unit, d_unit))), inverse)
+    frame = constants(lens.right), constants(lens.down), constants(lens.ahead)
     for axis in range(3):
-        away[axis] = scene.means_m[3 * i + axis] - lens.centre_m[axis]
-        squared += away[axis] * away[axis]
-    length = max(np.sqrt(squared), np.float32(1e-12))
-    x, y, z = away[0] / length, away[1] / length, away[2] / length
-    fill_basis(x, y, z, used, basis)
-    for k in range(used):
-        g[k] = 0
-        for c in range(3):
-            out.harmonics[3 * (used * at + k) + c] = basis[k] * d[c]
-            g[k] += scene.harmonics[3 * (scene.stored * i + k) + c] * d[c]
-    slope(x, y, z, used, g, d_away)
-    along = x * d_away[0] + y * d_away[1] + z * d_away[2]
-    d_away[0], d_away[1], d_away[2] = (d_away[0] - x * along), (d_away[1] - y * along), (d_away[2] - z * along)
-    for axis in range(3):
-        d_away[axis] /= length
-        words[OUT + 16 * (MEAN + axis) + lane] += d_away[axis]
-    frame = lens.right, lens.down, lens.ahead
-    for axis in range(3):
-        a = frame[axis]
-        words[OUT + 16 * (TWIST + axis) + lane] += a[0] * d_away[0] + a[1] * d_away[1] + a[2] * d_away[2]
+        at = np.int64(OUT + 16 * (MEAN + axis))
+        store(words, at, load_floats(words, at) + d_away[axis])
+        at = np.int64(OUT + 16 * (TWIST + axis))
+        store(words, at, load_floats(words, at) + dot(frame[axis], d_away))
+
+
+@compiled
+def _lit(records, row, words, c):  # type: ignore[no-untyped-def]
+    """Return the derivatives by a channel's sum: 0 where the colour is held at 0."""
+    colour = pick(records, RECORD, RED + c, row)
+    return kept(colour, floats(np.float32(LEAST_DET)), _sum(words, D_RED + c))
 
 
 @compiled
 def _scatter(out, words, at, count):  # type: ignore[no-untyped-def]
     """Write the derivatives of `count` Gaussians from place `at` on, all but the harmonics'."""
+    transpose(words, np.int64(OUT), np.int64(0))
     for lane in range(count):
-        for axis in range(3):
-            out.means_m[3 * (at + lane) + axis] = words[OUT + 16 * (MEAN + axis) + lane]
-            out.log_scales[3 * (at + lane) + axis] = words[OUT + 16 * (SCALE + axis) + lane]
-        for axis in range(4):
-            out.rotations[4 * (at + lane) + axis] = words[OUT + 16 * (TURN + axis) + lane]
-        out.opacities[at + lane] = words[OUT + 16 * LOGIT + lane]
-        out.screen[at + lane] = words[OUT + 16 * SCREEN + lane]
+        row, place = 16 * lane, at + lane
+        store_some(out.means_m, 3 * place, np.int64(3), load_floats(words, np.int64(row + MEAN)))
+        store_some(out.log_scales, 3 * place, np.int64(3), load_floats(words, np.int64(row + SCALE)))
+        store_some(out.rotations, 4 * place, np.int64(4), load_floats(words, np.int64(row + TURN)))
+        out.opacities[np.uint64(place)] = words[np.uint64(row + LOGIT)]
+        out.screen[np.uint64(place)] = words[np.uint64(row + SCREEN)]
+
+
+@compiled
+def _scatter_harmonics(out, room, used, at, count):  # type: ignore[no-untyped-def]
+    """Write the derivatives by the harmonics of `count` Gaussians from place `at` on."""
+    for block in range(0, 3 * used, 16):
+        transpose(room, np.int64(512 + 16 * block), np.int64(0))
+        for lane in range(count):
+            start = np.int64(3 * used) * (at + lane) + block
+            store_some(out, start, np.int64(min(16, 3 * used - block)), load_floats(room, np.int64(16 * lane)))

@@ -141,7 +141,7 @@ def adam(gaussians: Gaussians, gradients: SplatGradients, moments: SplatMoments,
         before = parameter.clone()
         parameter.grad = d.to(parameter)
         twin_adam.adam(parameter, mean, square, 1.0, step)
-        moved = before + (parameter - before) * _rate(name, rates, moments.unit_m[index])
+        moved = before + (parameter - before) * _rate(name, rates, moments.unit_m[index], d.shape[1:])
         if name == "rotations":
             length = torch.linalg.vector_norm(moved, dim=1, keepdim=True)
             moved = torch.where(length > 0, moved / length.clamp(min=1e-20), moved)
@@ -149,9 +149,9 @@ def adam(gaussians: Gaussians, gradients: SplatGradients, moments: SplatMoments,
             target[index] = value
 
 
-def _rate(name: str, rates: Rates, unit_m: Tensor) -> Tensor:
+def _rate(name: str, rates: Rates, unit_m: Tensor, shape: torch.Size) -> Tensor:
     if name == "harmonics":
-        return unit_m.new_tensor([rates.colours] + [rates.view] * 15)[:, None]
+        return unit_m.new_tensor([rates.colours] + [rates.view] * (shape[0] - 1))[:, None]
     rate = getattr(rates, "means" if name == "means_m" else name)
     return rate * unit_m[:, None] if name == "means_m" else unit_m.new_tensor(rate)
 

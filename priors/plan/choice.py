@@ -1,12 +1,11 @@
-"""Advice: which method suits a drive, and which of its priors a field should lean on.
+"""The choice of a prior for a fit, among those that a drive has.
 
-    advise_method(drive).method          stereo where there is a pair, else completion where there is a LiDAR, else mono
     advise_prior(priors, drive).prior    of the dense ones the one with the least error, or by the order of ORDER
 
-The commands follow it where the user names none, and print its reason.
+`nerf fit --prior auto` follows it, and prints its reason.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,29 +17,14 @@ from priors.errors import DataError
 from priors.naming import labels
 from priors.records import Record
 from priors.selection import pick_middles
-from priors.types import Drive, Frame, Input, Mask
+from priors.types import Drive, Mask
 
 DENSE = 0.9
 """Share of the pixels that are no sky for which a prior must have a value, to be chosen before sparser ones."""
 ORDER = ("stereo network", "classical stereo", "completion", "mono", "lidar")
 """Kinds of prior, the best first, where no scores tell more; a kind of your own comes last."""
-LOOKED_AT = 9
-"""Frames of a drive that are looked at, spread evenly."""
 MEASURED = 3
 """Frames on which a prior's share of the ground is measured."""
-INPUTS: Mapping[Input, str] = {"other": "a stereo pair", "sweep": "a LiDAR", "sparse": "sparse depth maps"}
-"""What decides the method, in words."""
-
-
-@dataclass(frozen=True)
-class MethodAdvice:
-    """The method that suits a drive."""
-
-    method: str
-    reason: str
-    """Why, in a few words: 'it has a stereo pair'."""
-    has: tuple[str, ...]
-    """What of INPUTS at least half of the frames have, in words."""
 
 
 @dataclass(frozen=True)
@@ -54,27 +38,6 @@ class PriorAdvice:
     """Why, in one line."""
     others: tuple[tuple[str, Prior], ...]
     """The other priors with their labels."""
-
-
-def advise_method(drive: Drive, indices: Sequence[int] | None = None) -> MethodAdvice:
-    """Choose a method by what at least half of a drive's frames have.
-
-    Args:
-        drive: what to make depth for.
-        indices: of the frames that are asked for; default: all.
-
-    Raises:
-        DataError: no frame can be opened.
-    """
-    frames = _open_some(drive, range(len(drive)) if indices is None else indices)
-    had = [what for what in INPUTS if 2 * sum(frame.has(what) for frame in frames) >= len(frames)]
-    has = tuple(INPUTS[what] for what in had)
-    if "other" in had:
-        return MethodAdvice("stereo", "it has a stereo pair", has)
-    if "sparse" in had or "sweep" in had:
-        source = INPUTS["sweep"] if "sweep" in had else INPUTS["sparse"]
-        return MethodAdvice("completion", f"it has {source} and no stereo pair", has)
-    return MethodAdvice("mono", "it has neither a stereo pair nor a LiDAR", has)
 
 
 def advise_prior(priors: Sequence[Prior], drive: Drive, ids: Sequence[str] | None = None) -> PriorAdvice:
@@ -189,16 +152,3 @@ def _recorded(prior: Prior) -> float:
     """Return the mean density that a build has recorded; 0 where it has not."""
     densities = prior.figures("density")
     return float(np.mean(densities)) if densities else 0.0
-
-
-def _open_some(drive: Drive, indices: Sequence[int]) -> list[Frame]:
-    """Open a few frames that are spread evenly; DataError where none of all can be opened."""
-    frames, reason = [], DataError(f"{drive.name}: no frames")
-    for index in pick_middles(indices, LOOKED_AT) if indices else []:
-        try:
-            frames.append(drive[index])
-        except DataError as error:
-            reason = error
-    if not frames:
-        raise reason
-    return frames

@@ -1,0 +1,137 @@
+"""`priors bench`: run time against error of every way to make depth, on a drive of the user's."""
+
+import shlex
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from cli.arguments import SequenceArguments, ThreadArguments, parse
+from cli.console import DATA_ERROR, busy, err, out, progress
+from cli.durations import duration, seconds
+from eval import typeset
+from eval.protocol import PRESETS, preset
+from priors import cache, methods
+from priors.bench import entrants, table
+from priors.bench.entrants import Entrant
+from priors.bench.judge import judge
+from priors.bench.race import BUSY, Race, load
+from priors.bench.results import FOLDER
+from priors.bench.schedule import Schedule
+from priors.cache import Prior
+from priors.errors import UsageError, expect, expect_between
+from priors.selection import parse_range
+
+EXAMPLES = """Measure every method, model, size and runtime on the same frames of a drive, in turn: time, memory, error.
+Prints a table and marks what no other beats; writes cache/DRIVE/bench/, which `priors report` shows and
+`priors build --budget` reads. What is measured already is not measured again.
+
+examples:
+  priors bench street/
+  priors bench KITTI/2011_09_26 --drive 2011_09_26_drive_0001_sync --truth KITTI/depth
+  priors bench street/ --runtimes auto --count 5 --at-most 2m         each network as this machine runs it best
+  priors bench street/ --only stereo completion SGBM                  those whose names begin so
+  priors bench street/ --network mine.onnx                            your own network beside ours
+  priors bench street/ --against cache/DRIVE/lidar-KEY                a prior in place of the truth
+"""
+MOST_FRAMES = 10_000
+
+
+@dataclass(frozen=True)
+class PriorsBenchArguments(ThreadArguments, SequenceArguments):
+    """Arguments of `priors bench`."""
+
+    count: int = 12
+    """Frames, spread evenly over those with a truth."""
+    frames: str | None = None
+    """Range of frames to take them from, a:b."""
+    protocol: Literal[*PRESETS] = "uncapped"  # type: ignore[valid-type]
+    """Which pixels count and how; docs/metrics.md has the definitions."""
+    against: Path | None = None
+    """Score against this prior instead of the drive's truth."""
+    times_only: bool = False
+    """Measure times and memory alone: a drive needs no truth then."""
+    only: tuple[str, ...] = ()
+    """Enter those alone whose names begin so: stereo, 'stereo cfnet', SGBM."""
+    runtimes: tuple[Literal["auto", "bf16", "fp32", "int8", "cuda", "onnx"], ...] | None = None
+    """What runs the networks; default: each that this machine has."""
+    network: tuple[Path, ...] = ()
+    """Your own networks: .onnx or .safetensors files (docs/methods/mono.md)."""
+    psmnet: tuple[Path, Path] | None = None
+    """PSMNet as a peer: a file with its class PSMNet, and its weights."""
+    at_most: str = "10m"
+    """How long it may take: 90s, 10m, 1h. What is slow then makes fewer frames."""
+    cache: Path = Path("cache")
+    """Where results go: cache/DRIVE/bench."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        expect_between(1, self.count, MOST_FRAMES, "--count")
+        parse_range(self.frame_range(self.frames))
+        seconds(self.at_most, "--at-most")
+        begins = (*methods.names(), *(name for name, _ in entrants.BASELINES))
+        for name in self.only:
+            known = bool(name) and any(name.startswith(each) or each.startswith(name) for each in begins)
+            expect(known, "--only", name or "''", f"how a name begins: {', '.join(begins)}")
+        if self.times_only and self.against is not None:
+            raise UsageError("--against: nothing is scored with --times-only: leave out one or the other")
+
+    def lineup(self) -> list[Entrant]:
+        """List who takes part; UsageError where --only leaves nobody."""
+        every = [*entrants.baselines(), *entrants.field_size(self.runtimes)]
+        chosen = [each for each in every if not self.only or each.name.startswith(self.only)]
+        own = [entrants.network(file) for file in self.network]
+        own += [entrants.psmnet(*self.psmnet)] if self.psmnet is not None else []
+        if not chosen + own:
+            names = ", ".join(each.name for each in every)
+            raise UsageError(f"--only {' '.join(self.only)}: no entrant's name begins so; there are {names}")
+        return chosen + own
+
+
+ARGUMENTS = {"priors bench": PriorsBenchArguments}
+
+
+def run(arguments: list[str]) -> int:
+    """Make the bench; returns the exit code."""
+    args = parse(PriorsBenchArguments, "priors bench", EXAMPLES, arguments)
+    with args.limited():
+        return _bench(args, shlex.join(["priors", "bench", *arguments]))
+
+
+def _bench(args: PriorsBenchArguments, command: str) -> int:
+    drive, lineup = args.open(["priors", "bench"]), args.lineup()
+    against = None if args.against is None else cache.only(args.against)
+    lineup = [each for each in lineup if against is None or not _is_itself(each, against)]
+    frames, protocol = args.frame_range(args.frames), preset(args.protocol)
+    chosen = judge(drive, frames, args.count, protocol, against, not args.times_only)
+    if load() > BUSY:
+        err.print("this machine is busy: compare ratios and processor time, not milliseconds")
+    folder = args.cache / drive.name / FOLDER
+    race = Race(chosen, lineup, folder, seconds(args.at_most), command)
+    err.print(f"{len(lineup)} entrants, {len(chosen.frames)} frames: at most {duration(race.limit_s)}")
+    with progress("looked at", len(lineup)) as looked:
+        entered = race.enter(looked)
+    err.print(_forecast(entered.plan))
+    with progress("bench", max(1, sum(entered.plan.frames.values()))) as step:
+        bench = race.run(entered, step)
+    laid = table.lay_out(bench)
+    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
+    with busy("plot"):
+        written = table.save(bench, folder, laid)
+    for path in [folder / "bench.json", *written]:
+        out.print(f"wrote {path}")
+    return DATA_ERROR if not any(standing.trials for standing in bench.standings) else 0
+
+
+def _is_itself(entrant: Entrant, against: Prior) -> bool:
+    """Tell whether an entrant makes the very maps that it would be scored against."""
+    model = against.manifest.get("config", {}).get("model")
+    return entrant.method.name == against.method and getattr(entrant.method, "model", None) == model
+
+
+def _forecast(plan: Schedule) -> str:
+    """Say what the bench will take."""
+    if not plan.frames:
+        return "all is measured already"
+    maps = sum(plan.frames.values())
+    fewer = f"; fewer frames of {', '.join(plan.shortened)}, which are slow" if plan.shortened else ""
+    return f"{maps} maps by {len(plan.frames)} entrants: about {duration(plan.seconds)}{fewer}"

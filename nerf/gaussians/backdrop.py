@@ -1,0 +1,77 @@
+"""Backdrop: the sky behind Gaussians, coloured by direction alone, painted from the images before the first step."""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf.gaussians.shot import Directions
+from nerf.gaussians.types import Rasterised, Viewpoint
+from nerf.scene import Scene
+from nerf.sky import Sky, SkyConfig
+from nerf.twin.sky import corners
+from priors.sky import sky_mask
+
+CLEAR = 1e-3
+"""A pixel through which less light passes shows no sky."""
+MOST_PIXELS, MOST_FRAMES = 2048, 64
+"""Pixels of a frame, and frames, that are looked at before the first step."""
+DARK, LIGHT = 0.02, 0.98
+"""Colours of the sky at the start: a sigmoid reaches neither 0 nor 1."""
+SEEN = 0.05
+"""Weight from which on a texel has been seen."""
+
+
+class Backdrop:
+    """A sky that is asked where light passes."""
+
+    def __init__(self, device: torch.device) -> None:
+        self.sky, self._directions = Sky(SkyConfig(), device), Directions()
+        self._flat = torch.empty(0, dtype=torch.int64)
+        self._rgb = torch.empty(0)
+
+    def behind(self, seen: Rasterised, viewpoint: Viewpoint) -> Tensor:
+        """Return a picture (h, w, 3) with the sky behind it."""
+        passes = (1 - seen.opacity).flatten()
+        self._flat = torch.nonzero(passes > CLEAR).flatten()
+        self._rgb = self.sky.forward(self._directions(viewpoint, self._flat))
+        whole = seen.rgb.reshape(-1, 3).clone()
+        whole[self._flat] += passes[self._flat, None] * self._rgb
+        return whole.view_as(seen.rgb)
+
+    def backward(self, seen: Rasterised, d_rgb: Tensor) -> Tensor:
+        """Set the sky's gradient from that of the last picture; returns that of the opacity, (h, w)."""
+        d_seen = d_rgb.reshape(-1, 3)[self._flat]
+        passes = (1 - seen.opacity).flatten()[self._flat]
+        self.sky.backward(d_seen * passes[:, None])
+        d_opacity = torch.zeros_like(seen.opacity).flatten()
+        d_opacity[self._flat] = -(d_seen * self._rgb).sum(1)
+        return d_opacity.view_as(seen.opacity)
+
+    def paint(self, scene: Scene) -> None:
+        """Paint the sky by the training frames' sky pixels; each picture has what the coarser ones lack.
+
+        Where no frame shows sky it stays grey.
+        """
+        units, rgb = self._look(scene)
+        wanted, start = torch.logit(rgb.clamp(DARK, LIGHT)), 0
+        for size in self.sky.config.sizes if len(units) else ():
+            rows, shares = corners(units, (size,))
+            total, weight = torch.zeros(size * size, 3), torch.zeros(size * size)
+            total.index_add_(0, rows.flatten(), (shares[..., None] * wanted[:, None]).flatten(0, 1))
+            weight.index_add_(0, rows.flatten(), shares.flatten())
+            texels = torch.where(weight[:, None] > SEEN, total / weight.clamp(min=SEEN)[:, None], 0.0)
+            self.sky.texels[start : start + size * size] = texels.to(self.sky.texels.device)
+            wanted = wanted - (texels[rows] * shares[..., None]).sum(1)
+            start += size * size
+
+    def _look(self, scene: Scene) -> tuple[Tensor, Tensor]:
+        """Return directions (n, 3) into the sky, and their colours (n, 3) in [0, 1]."""
+        units, rgb = [torch.zeros(0, 3)], [torch.zeros(0, 3)]
+        for position in scene.train[:: -(-len(scene.train) // MOST_FRAMES)]:
+            image = np.asarray(scene.images[position])
+            mask = sky_mask(image) if scene.sky is None else np.asarray(scene.sky[position]) > 0
+            every = np.flatnonzero(mask)
+            flat = torch.from_numpy(every[:: max(1, -(-len(every) // MOST_PIXELS))])
+            units.append(self._directions(Viewpoint(scene.camera, scene.T_world_cam[position]), flat))
+            rgb.append(torch.from_numpy(image.reshape(-1, 3)).float()[flat] / 255)
+        return torch.cat(units), torch.cat(rgb)

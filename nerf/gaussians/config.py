@@ -1,0 +1,30 @@
+"""Settings of a field of Gaussians: how it starts, what it minimises beside the shared losses, how it grows."""
+
+from dataclasses import dataclass
+
+from priors.errors import expect, expect_between
+
+MOST = 20_000_000
+"""More Gaussians than any machine of this kind holds."""
+
+
+@dataclass(frozen=True)
+class GaussianConfig:
+    """What a field of Gaussians is trained by; other fields read none of it."""
+
+    most_gaussians: int = 400_000
+    """How many Gaussians there are at most."""
+    start_step: int = 0
+    """At the start every so many-th pixel along rows and columns may become a Gaussian; 0: as most_gaussians allows."""
+    degree: int = 1
+    """Degree of the spherical harmonics of the colour, 0 to 3; 0: a place has one colour from all sides."""
+    dssim: float = 0.2
+    """Share of 1 - SSIM in the colour loss; the rest is the mean absolute difference."""
+    densify: bool = True
+    """Split and clone Gaussians where the image asks for more of them, and delete those that nobody sees."""
+
+    def __post_init__(self) -> None:
+        expect_between(1, self.most_gaussians, MOST, "--most-gaussians")
+        expect_between(0, self.start_step, 64, "--start-step")
+        expect_between(0, self.degree, 3, "--degree")
+        expect(0 <= self.dssim <= 1, "--dssim", self.dssim, "a share from 0 to 1")

@@ -1,0 +1,185 @@
+"""Splat model: a scene of Gaussians before a sky, started from the prior and trained on whole views."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from nerf.config import FitConfig, ModelConfig
+from nerf.gaussians import growth
+from nerf.gaussians.backdrop import Backdrop
+from nerf.gaussians.config import GaussianConfig
+from nerf.gaussians.growth import Growth
+from nerf.gaussians.losses import geometry_losses
+from nerf.gaussians.rates import rates_at
+from nerf.gaussians.seeds import Seeds
+from nerf.gaussians.shell import shell_of
+from nerf.gaussians.shot import Shot, position_at, shot_of
+from nerf.gaussians.start import start_of
+from nerf.gaussians.types import Drawing, Gaussians, Rasterised, SplatMoments, Viewpoint
+from nerf.kernels import kernels_for
+from nerf.model import StepResult
+from nerf.optimise import Optimiser
+from nerf.scene import Scene
+from nerf.state import copy_into, joined, under
+from nerf.types import OPACITY_FLOOR, RenderedView
+from priors.machine import threads
+from priors.types import Camera, Matrix
+
+OPACITY = 0.8
+"""Of the discs at the start."""
+CAP_M = 200.0
+"""Depth counts as at most so much in the mean of a pixel."""
+LEAST_SIDE_PX = 11
+"""Window of SSIM: smaller images are trained by L1 alone."""
+Y0 = 0.28209479177387814
+"""The spherical harmonic of degree 0."""
+
+
+class SplatFamily:
+    """A nerf.model.Family."""
+
+    unread = ("model.width", "model.sampler", "losses.distortion")
+
+    def start(self, scene: Scene, config: FitConfig, device: str) -> "SplatModel":
+        """Make a model of a scene from its prior; without one, of a few discs at random depths."""
+        settings = config.model.gaussians
+        with threads.quiet():
+            seeds = start_of(scene, settings.start_step, settings.most_gaussians, config.seed)
+            model = SplatModel(config.model, *_planted(seeds, settings.degree, torch.device(device)))
+            model.backdrop.paint(scene)
+        return model
+
+    def go_on(self, scene: Scene, config: FitConfig, record: dict[str, Any], device: str) -> "SplatModel":
+        """Make a model that is ready to load a checkpoint."""
+        return SplatModel(
+            config.model, *_planted(Seeds.joined([]), config.model.gaussians.degree, torch.device(device))
+        )
+
+    def open(self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str) -> "SplatModel":
+        """Make a model again of what a checkpoint holds."""
+        model = SplatModel(config, *_planted(Seeds.joined([]), config.gaussians.degree, torch.device(device)))
+        model.load(state)
+        return model
+
+
+def _planted(seeds: Seeds, degree: int, device: torch.device) -> tuple[Gaussians, Tensor]:
+    """Return seeds as Gaussians, and the width of their cells (n,), metres."""
+    harmonics = np.zeros((len(seeds), (degree + 1) ** 2, 3), np.float32)
+    harmonics[:, 0] = (seeds.rgb - 0.5) / Y0
+    opacities = np.full(len(seeds), np.log(OPACITY / (1 - OPACITY)), np.float32)
+    parts = (seeds.means_m, seeds.log_scales, seeds.rotations, opacities, harmonics)
+    on = [torch.from_numpy(np.ascontiguousarray(part)).to(device) for part in (*parts, seeds.cell_m)]
+    return Gaussians(*on[:-1]), on[-1]
+
+
+class SplatModel:
+    """A nerf.model.Model: everything a checkpoint holds lives here."""
+
+    def __init__(self, config: ModelConfig, gaussians: Gaussians, unit_m: Tensor) -> None:
+        """Take Gaussians, and the width of the image's cells at each (n,), metres."""
+        self.config, self.gaussians = config, gaussians
+        self.device = unit_m.device
+        self.moments = SplatMoments(gaussians.zeros(), gaussians.zeros(), unit_m)
+        self.growth = Growth.of(len(gaussians), self.device)
+        self.backdrop = Backdrop(self.device)
+        self._sky = Optimiser({f"sky.{name}": x for name, x in self.backdrop.sky.parameters().items()})
+        self._splat = kernels_for(self.device).splat
+
+    @property
+    def settings(self) -> GaussianConfig:
+        """What only Gaussians are trained by."""
+        return self.config.gaussians
+
+    def train(self, scene: Scene, config: FitConfig, step: int, progress: float) -> StepResult:
+        """Do a step of training on one whole view; see nerf.model.Model."""
+        shot = shot_of(scene, position_at(scene.train, config.seed, step), config.losses, self.device)
+        seen = self._splat.rasterise(self.gaussians, shot.viewpoint, self._drawing(progress))
+        result = self._learn(shot, seen, config, (step, progress))
+        if self.settings.densify and growth.is_due(step, len(scene.train), progress):
+            made = growth.grown(self.gaussians, self.moments, self.growth, self.settings.most_gaussians)
+            self.gaussians, self.moments = made
+            self.growth = Growth.of(len(self.gaussians), self.device)
+        return result
+
+    def _learn(self, shot: Shot, seen: Rasterised, config: FitConfig, at: tuple[int, float]) -> StepResult:
+        """Go back from what is seen of a frame, and move the parameters."""
+        step, progress = at
+        rgb = self.backdrop.behind(seen, shot.viewpoint)
+        share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
+        colour = self._splat.colour_loss(rgb, shot.rgb, share)
+        losses = geometry_losses(config.losses, shot, seen, config.rays, (config.seed, step))
+        losses.d_opacity += self.backdrop.backward(seen, colour.d_rgb)
+        gradients = self._splat.backward(seen, losses.gradients(colour.d_rgb))
+        self.growth.observe(gradients)
+        rates = rates_at(config.optimiser, step + 1, progress)
+        self._splat.adam(self.gaussians, gradients, self.moments, rates, step + 1)
+        self._sky.step(config.optimiser, progress)
+        terms = {"rgb": (rgb - shot.rgb).square().mean(), **losses.terms}
+        total = losses.total + colour.total
+        return StepResult(terms, total, shot.rgb.shape[0] * shot.rgb.shape[1], len(seen.index))
+
+    def _drawing(self, progress: float = 1.0) -> Drawing:
+        """Return how a training view is drawn: the colours' degree rises."""
+        degree = min(self.settings.degree, int(progress * 4 * self.settings.degree))
+        return Drawing(degree=degree, cap_m=CAP_M, median=False)
+
+    @threads.quiet()
+    def render(self, T_world_cam: Matrix, camera: Camera) -> RenderedView:
+        """Render a view."""
+        viewpoint = Viewpoint(camera, T_world_cam)
+        drawing = replace(self._drawing(), median=True, degree=self.settings.degree)
+        seen = self._splat.rasterise(self.gaussians, viewpoint, drawing)
+        rgb = self.backdrop.behind(seen, viewpoint).clamp(0, 1)
+        parts = (rgb, seen.depth_m(OPACITY_FLOOR), seen.median_m, seen.opacity)
+        return RenderedView(*(part.cpu().numpy() for part in parts))
+
+    def splats(self) -> Gaussians:
+        """Return all that it shows as Gaussians: the sky is a shell far around the others."""
+        told = self._sky.state()["sky.texels.square"]
+        middle_m = self.gaussians.means_m.mean(0) if len(self.gaussians) else torch.zeros(3, device=self.device)
+        shell = shell_of(self.backdrop.sky, told, middle_m, self.gaussians.harmonics.shape[1])
+        both = [part.tensors() for part in (self.gaussians, shell)]
+        return Gaussians(*(torch.cat([part[name] for part in both]) for name in both[0]))
+
+    def parameters(self) -> dict[str, Tensor]:
+        """Return the trainable tensors by name."""
+        return joined({"gaussians": self.gaussians.tensors(), "sky": self.backdrop.sky.parameters()})
+
+    def state(self) -> dict[str, Tensor]:
+        """Return every tensor that a checkpoint keeps, by name."""
+        means = {"mean": self.moments.mean.tensors(), "square": self.moments.square.tensors()}
+        own = joined({**means, "growth": self.growth.state()}) | {"unit_m": self.moments.unit_m}
+        return joined({"model": self.parameters(), "splat": own, "sky": self._sky.state()})
+
+    def load(self, state: dict[str, Tensor]) -> None:
+        """Take over a saved state, with its own number of Gaussians; ValueError where it is of other settings."""
+        model, own = under("model", state), under("splat", state)
+        count = len(model.get("gaussians.means_m", ()))
+        gaussians = self._taken(under("gaussians", model), self.gaussians, count)
+        mean, square = (self._taken(under(name, own), self.gaussians, count) for name in ("mean", "square"))
+        rest = {"unit_m": self.moments.unit_m, **{f"growth.{name}": x for name, x in self.growth.state().items()}}
+        found = {name: _sized(name, own, like, count) for name, like in rest.items()}
+        copy_into(self.backdrop.sky.parameters(), under("sky", model))
+        self._sky.load(under("sky", state))
+        self.gaussians = gaussians
+        self.moments = SplatMoments(mean, square, found["unit_m"])
+        self.growth = Growth(found["growth.pull"], found["growth.views"])
+
+    def record(self) -> dict[str, Any]:
+        """Return nothing more: config and state make the model again."""
+        return {}
+
+    def _taken(self, saved: dict[str, Tensor], like: Gaussians, count: int) -> Gaussians:
+        return Gaussians(*(_sized(name, saved, x, count) for name, x in like.tensors().items()))
+
+
+def _sized(name: str, saved: dict[str, Tensor], like: Tensor, count: int) -> Tensor:
+    """Return a saved tensor of `count` rows that are shaped as another's; ValueError where it is another model's."""
+    shape = (count, *like.shape[1:])
+    if name not in saved or saved[name].shape != shape or not count:
+        found = tuple(saved[name].shape) if name in saved else "none"
+        raise ValueError(f"expected {name} of shape {shape}, found {found}")
+    return saved[name].to(like).clone()

@@ -1,0 +1,74 @@
+"""Shot: a training frame as a step sees it, a whole image with what is known of it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from nerf.gaussians.types import Viewpoint
+from nerf.losses import LossConfig, prior_weight
+from nerf.scene import Scene
+from nerf.types import Rays
+from priors.geometry import rays as pixel_rays
+from priors.types import Camera
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """One frame; tensors on one device."""
+
+    position: int
+    """Which of the scene's frames."""
+    viewpoint: Viewpoint
+    rgb: Tensor
+    """(h, w, 3) in [0, 1]."""
+    depth_m: Tensor | None
+    """(h, w) the prior, metres, 0 = no value; None without a prior."""
+    weight: Tensor | None
+    """(h, w) how much the prior counts, 0 where it has no value; None without a prior."""
+    sky: Tensor | None
+    """(h, w) 1 where the image shows sky; None: nobody knows."""
+
+
+def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device) -> Shot:
+    """Read a frame."""
+    rgb = _on(device, scene.images[position]) / 255
+    depth_m = None if scene.depth_m is None else _on(device, scene.depth_m[position])
+    trust = None if scene.weight is None else _on(device, scene.weight[position]) / 255
+    sky = None if scene.sky is None else _on(device, scene.sky[position])
+    weight = prior_weight(rules, Rays(rgb, rgb, depth_m=depth_m, weight=trust))
+    return Shot(position, Viewpoint(scene.camera, scene.T_world_cam[position]), rgb, depth_m, weight, sky)
+
+
+def position_at(train: list[int], seed: int, step: int) -> int:
+    """Return the frame of a step: each is drawn once, in an order of its own, before any is drawn again."""
+    lap, place = divmod(step, len(train))
+    order = np.random.Generator(np.random.Philox(key=[seed, lap])).permutation(len(train))
+    return train[int(order[place])]
+
+
+class Directions:
+    """Unit directions through a camera's pixels; the last camera's are kept."""
+
+    def __init__(self) -> None:
+        self._key: tuple[bytes, tuple[int, int]] | None = None
+        self._units = torch.empty(0)
+
+    def __call__(self, viewpoint: Viewpoint, flat: Tensor) -> Tensor:
+        """Return unit directions (r, 3) in the scene's frame through pixels (r,), row * width + column."""
+        key = viewpoint.camera.K.tobytes(), viewpoint.camera.size
+        if key != self._key or self._units.device != flat.device:
+            self._key, self._units = key, torch.from_numpy(_units(viewpoint.camera)).to(flat.device)
+        rotation = torch.from_numpy(viewpoint.T_world_cam[:3, :3].astype(np.float32)).to(flat.device)
+        return self._units[flat] @ rotation.T
+
+
+def _units(camera: Camera) -> npt.NDArray[np.float32]:
+    directions = pixel_rays(camera).reshape(-1, 3)
+    return (directions / np.linalg.norm(directions, axis=1, keepdims=True)).astype(np.float32)
+
+
+def _on(device: torch.device, values: npt.NDArray[np.generic]) -> Tensor:
+    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32)).to(device)

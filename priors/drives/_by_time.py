@@ -1,0 +1,39 @@
+"""By time: files whose names end in a time, what is nearest to a moment, and a pose between two others."""
+
+from bisect import bisect_left
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from priors.drives._files import stems
+from priors.geometry import invert
+from priors.types import Matrix
+
+
+def by_time(folder: Path, suffixes: Iterable[str]) -> dict[int, Path]:
+    """Map nanoseconds, the digits that end a file's name, to the file, in time order."""
+    times = {}
+    for stem, path in stems(folder, suffixes).items():
+        digits = stem.rpartition("_")[2]
+        if digits.isdecimal():
+            times[int(digits)] = path
+    return dict(sorted(times.items()))
+
+
+def nearest(times: Sequence[int], time: int, within: int) -> int | None:
+    """Return the nearest of the sorted times, None where it is farther than `within`; the earlier one in a tie."""
+    after = bisect_left(times, time)
+    around = times[max(after - 1, 0) : after + 1]
+    best = min(around, key=lambda t: abs(t - time), default=None)
+    return None if best is None or abs(best - time) > within else best
+
+
+def between(T_world_a: Matrix, T_world_b: Matrix, share: float) -> Matrix:
+    """Return the pose (4, 4) a share of the way from one pose to another, turning about one axis."""
+    T_a_b = invert(T_world_a) @ T_world_b
+    T_a_time = np.eye(4)
+    T_a_time[:3, :3] = Rotation.from_rotvec(share * Rotation.from_matrix(T_a_b[:3, :3]).as_rotvec()).as_matrix()
+    T_a_time[:3, 3] = share * T_a_b[:3, 3]
+    return T_world_a @ T_a_time

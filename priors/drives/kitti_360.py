@@ -1,0 +1,299 @@
+"""KITTI-360: long suburban drives by another car, as downloaded.
+
+    calibration/{perspective.txt, calib_cam_to_pose.txt, calib_cam_to_velo.txt}
+    data_2d_raw/2013_05_28_drive_0000_sync/{image_00,image_01}/data_rect/0000000250.png, timestamps.txt
+    data_3d_raw/2013_05_28_drive_0000_sync/velodyne_points/data/0000000250.bin
+    data_poses/2013_05_28_drive_0000_sync/{poses.txt, cam0_to_world.txt}
+
+Quirks kept here (the data set's documentation, and kitti360scripts' project.py):
+- Each kind of data is a tree of its own, with the sequence's name in it; the drive is the folder in data_2d_raw.
+- A line of poses.txt begins with its frame's number. Frames in which the car stood still have no line, so no pose.
+- poses.txt is the IMU's. A camera's pose goes through calib_cam_to_pose, and back through its rectification R_rect.
+  cam0_to_world.txt holds the left camera's, rectified, and is read where poses.txt is not there.
+- calib_cam_to_velo.txt maps the unrectified camera 0 to the LiDAR.
+- Sweeps are turns of the scanner, as those of KITTI raw: points carry their times, methods untwist them.
+- image_02 and image_03 are fish-eyes, which nothing here reads.
+"""
+
+from functools import cached_property, lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from priors.drives import CameraDrive, DriveOptions
+from priors.drives._camera_drive import Files, Readers
+from priors.drives._files import (
+    IMAGE_SUFFIXES,
+    choose,
+    follow,
+    need,
+    read_key_values,
+    read_times,
+    search,
+    split_projection,
+    stems,
+)
+from priors.drives._links import homes
+from priors.drives._velodyne import SWEEP_S, point_times, read_sweep_file, velocity_between
+from priors.errors import DataError, UsageError
+from priors.frame_ids import by_number, joined
+from priors.geometry import invert
+from priors.motion import Trajectory
+from priors.text import read_lines
+from priors.types import Camera, Matrix, Sweep
+
+BELOW = 2
+"""How many levels below the data set's own folder its drives are: data_2d_raw/, then a sequence."""
+CAMERAS = ("image_00", "image_01")
+FISH_EYES = ("image_02", "image_03")
+SWEEPS_KEPT = 24
+DOWNLOAD = {
+    "perspective.txt": "download calibration.zip",
+    "calib_cam_to_pose.txt": "download calibration.zip",
+    "calib_cam_to_velo.txt": "download calibration.zip",
+}
+
+
+def recognises(path: Path) -> bool:
+    """Tell whether the folder is a drive, or holds drives."""
+    return bool(search(path, is_drive, BELOW))
+
+
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a sequence's in data_2d_raw."""
+    return any((folder / name / "data_rect").is_dir() for name in CAMERAS)
+
+
+def open_drive(path: Path, options: DriveOptions) -> "Kitti360":
+    """Open one drive; path is its folder in data_2d_raw, or a parent of it with options.drive."""
+    if options.truth is not None:
+        raise UsageError(f"{path}: KITTI-360 has no depth maps: leave --truth out")
+    if options.camera in FISH_EYES:
+        raise UsageError(
+            f"{path}: {options.camera} is a fish-eye, which is not read: choose one of {', '.join(CAMERAS)}"
+        )
+    folder = choose(
+        search(path, is_drive, BELOW), options.drive, path, "a drive (data_2d_raw/DRIVE/image_00/data_rect)"
+    )
+    return Kitti360(folder, options.camera or next(name for name in CAMERAS if (folder / name / "data_rect").is_dir()))
+
+
+class Kitti360(CameraDrive):
+    """One camera's view of one drive."""
+
+    pairs = (CAMERAS,)
+    usual_camera = "image_00"
+
+    def __init__(self, folder: Path, camera: str) -> None:
+        super().__init__(folder, camera)
+        partner = self.paired_camera()
+        self._homes = homes(self.folder, follow(self.folder / camera) / "data_rect")
+        self.images = self._list_images(camera)
+        self.others = joined(self.images, self._list_images(partner))
+        if not self.images:
+            raise DataError(
+                f"{self.folder / camera / 'data_rect'}: no images: download data_2d_raw of {self.folder.name}"
+            )
+        sweeps = self._tree("data_3d_raw") / "velodyne_points" / "data"
+        self._sweeps = joined(self.images, stems(sweeps, [".bin"]))
+        self._by_number = by_number({**self._sweeps, **self.images})
+        self._perspective = read_key_values(self._calibration("perspective.txt"))
+        K, self._T_cam_cam0 = self._projection(camera)
+        width, height = need(self._perspective, f"S_rect_{camera[-2:]}", 2, self._calibration("perspective.txt"))
+        self.camera = Camera(K, (int(height), int(width)))
+        if self.others:
+            right_m = float(self._T_cam_cam0[0, 3] - self._projection(partner)[1][0, 3])
+            self.baseline_m = self.baseline(right_m, self._calibration("perspective.txt"))
+        self._read_sweep = lru_cache(maxsize=SWEEPS_KEPT)(self._load_sweep)
+
+    @property
+    def name(self) -> str:
+        """The data set and the sequence."""
+        return f"kitti_360_{super().name}"
+
+    def sources(self) -> list[Path]:
+        """List the files of calibration and poses."""
+        files = [self._calibration(name) for name in DOWNLOAD]
+        return [
+            *(path for path in files if path.is_file()),
+            *([self._pose_file] if self._pose_file is not None else []),
+        ]
+
+    def scans(self) -> dict[str, list[str]]:
+        """List the frame ids that each sensor has, for the audit."""
+        posed = [id_ for id_ in self.ids if int(id_) in self._T_world_cam0]
+        return {"other": list(self.others), "sweep": list(self._sweeps), "pose": posed}
+
+    def readers(self, id_: str) -> Readers:
+        """Return what can be read of a frame: also sweeps."""
+        readers = super().readers(id_)
+        if self._sweeps and self._T_cam0_velo is not None:
+            readers["sweep"] = lambda offset=0: self._sweep_beside(int(id_), offset)
+        return readers
+
+    def files(self, id_: str) -> Files:
+        """Return which file each reader reads: also sweeps, and the times that tell where their path breaks."""
+        files: Files = {
+            "sweep": lambda offset=0: self._sweep_file(int(id_) + offset),
+            "sweep.times": lambda: self._times_file if self._times_file.is_file() else None,
+        }
+        return super().files(id_) | files
+
+    def T_world_cam(self, id_: str) -> Matrix | None:
+        """Return the pose of this camera; None where the frame has no line."""
+        T_world_cam0 = self._T_world_cam0.get(int(id_))
+        return None if T_world_cam0 is None else T_world_cam0 @ invert(self._T_cam_cam0)
+
+    def T_cam_lidar(self, id_: str) -> Matrix | None:
+        """Return the LiDAR's place, the same at every frame."""
+        return None if self._T_cam0_velo is None else self._T_cam_cam0 @ self._T_cam0_velo
+
+    def time_s(self, id_: str) -> float | None:
+        """Return the camera's own time stamp."""
+        return self._times.get(int(id_))
+
+    def missing(self, id_: str) -> dict[str, str]:
+        """Say why a reader is not there, and what to do."""
+        sweeps = self._tree("data_3d_raw") / "velodyne_points" / "data"
+        sweep = f"{sweeps}: no sweeps: download data_3d_raw of {self.folder.name}"
+        if self._sweeps:
+            wanted = self._calibration("calib_cam_to_velo.txt")
+            sweep = f"{wanted}: no such file, so the sweeps cannot be placed: download calibration.zip"
+        truth = "KITTI-360 has no depth maps: score against the LiDAR (`priors eval --against`)"
+        reasons = {
+            "other": f"{self.folder}/{self.partner}/data_rect: no image {id_}: stereo needs both cameras",
+            "sweep": sweep,
+            "truth": truth,
+            "sparse": truth,
+            "sky": "KITTI-360 has no sky masks",
+        }
+        return reasons | ({"pose": self._no_pose(id_)} if self._must_have_pose(id_) else {})
+
+    def _list_images(self, camera: str) -> dict[str, Path]:
+        images = stems(follow(self.folder / camera) / "data_rect", IMAGE_SUFFIXES)
+        return {id_: path for id_, path in images.items() if id_.isdecimal()}
+
+    def _tree(self, kind: str) -> Path:
+        """Return the sequence's folder in another tree beside data_2d_raw; it need not be there."""
+        places = [home.parent.parent / kind / home.name for home in self._homes]
+        return next((place for place in places if place.is_dir()), places[0])
+
+    def _calibration(self, name: str) -> Path:
+        """Return a calibration file; it need not be there."""
+        places = [home.parent.parent / "calibration" / name for home in self._homes]
+        return next((place for place in places if place.is_file()), places[0])
+
+    def _projection(self, camera: str) -> tuple[Matrix, Matrix]:
+        path, key = self._calibration("perspective.txt"), f"P_rect_{camera[-2:]}"
+        return split_projection(need(self._perspective, key, 12, path).reshape(3, 4), key, path)
+
+    @cached_property
+    def _R_rect(self) -> Matrix:
+        """Rotation of camera 0's rectification, (4, 4)."""
+        R_rect = np.eye(4)
+        path = self._calibration("perspective.txt")
+        R_rect[:3, :3] = need(self._perspective, "R_rect_00", 9, path).reshape(3, 3)
+        return R_rect
+
+    @cached_property
+    def _T_cam0_velo(self) -> Matrix | None:
+        """The LiDAR's place at the rectified camera 0; None without its calibration."""
+        path = self._calibration("calib_cam_to_velo.txt")
+        if not path.is_file():
+            return None
+        return self._R_rect @ invert(_rigid(" ".join(line.text for line in read_lines(path)).split(), path))
+
+    @property
+    def _pose_file(self) -> Path | None:
+        folder = self._tree("data_poses")
+        return next((path for name in ("poses.txt", "cam0_to_world.txt") if (path := folder / name).is_file()), None)
+
+    @cached_property
+    def _T_world_cam0(self) -> dict[int, Matrix]:
+        """Pose of the rectified camera 0 by frame number; empty where there are none."""
+        path, poses = self._pose_file, {}
+        if path is None or (path.name == "poses.txt" and not self._calibration("calib_cam_to_pose.txt").is_file()):
+            return {}
+        T_pose_cam0 = np.eye(4) if path.name != "poses.txt" else self._read_T_pose_cam0()
+        for line in read_lines(path):
+            if line.text:
+                number, *words = line.words
+                where = f"line {line.number}"
+                try:
+                    poses[int(float(number))] = _rigid(words[:12], path, where) @ T_pose_cam0
+                except ValueError as error:
+                    raise DataError(
+                        f"{path}: {where} begins with no frame number: download data_poses again"
+                    ) from error
+        return poses
+
+    def _read_T_pose_cam0(self) -> Matrix:
+        path = self._calibration("calib_cam_to_pose.txt")
+        T_pose_cam0 = np.eye(4)
+        T_pose_cam0[:3] = need(read_key_values(path), "image_00", 12, path).reshape(3, 4)
+        return T_pose_cam0 @ invert(self._R_rect)
+
+    def _must_have_pose(self, id_: str) -> bool:
+        """Tell whether a pose is missing though it is no frame in which the car stood still."""
+        lacks_calibration = self._pose_file is not None and not self._T_world_cam0
+        return lacks_calibration and int(id_) not in self._T_world_cam0
+
+    def _no_pose(self, id_: str) -> str:
+        return f"{self._calibration('calib_cam_to_pose.txt')}: no such file, so poses.txt tells no camera's pose"
+
+    @property
+    def _times_file(self) -> Path:
+        return self.folder / self.camera_name / "timestamps.txt"
+
+    @cached_property
+    def _times(self) -> dict[int, float]:
+        """Camera times by frame number."""
+        return read_times(self._times_file) if self._times_file.is_file() else {}
+
+    @cached_property
+    def _path(self) -> Trajectory:
+        return Trajectory.of_numbers(self._T_world_cam0, self._times)
+
+    def _sweep_file(self, number: int) -> Path | None:
+        return self._sweeps.get(self._by_number.get(number, ""))
+
+    def _sweep_beside(self, number: int, offset: int) -> Sweep | None:
+        """Read the sweep `offset` frames from a frame."""
+        return self._path.without_far_side(self._read_sweep(number + offset), str(number), str(number + offset))
+
+    def _load_sweep(self, number: int) -> Sweep | None:
+        path = self._sweep_file(number)
+        if path is None:
+            return None
+        xyz_m, velocity, time_s = read_sweep_file(path), self._velocity(number), None
+        if velocity is not None:
+            time_s = point_times(xyz_m)
+            time_s.flags.writeable = False
+        xyz_m.flags.writeable = False  # sweeps are shared
+        return Sweep(xyz_m, self._T_world_velo(number), time_s, velocity)
+
+    def _T_world_velo(self, number: int) -> Matrix | None:
+        T_world_cam0 = self._T_world_cam0.get(number)
+        return None if T_world_cam0 is None or self._T_cam0_velo is None else T_world_cam0 @ self._T_cam0_velo
+
+    def _velocity(self, number: int) -> Matrix | None:
+        """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame on its own side of a break."""
+        around = [(k, T) for k in (-1, 0, 1) if (T := self._T_world_velo(number + k)) is not None]
+        own = [(k, T) for k, T in around if not self._path.broken(str(number), str(number + k))]
+        if len(own) < 2:
+            return None
+        (first, T_world_a), (last, T_world_b) = own[0], own[-1]
+        return velocity_between(T_world_a, T_world_b, (last - first) * SWEEP_S)
+
+
+def _rigid(words: list[str], path: Path, where: str = "it") -> Matrix:
+    """Read 12 numbers, a row-major (3, 4); DataError where they are not."""
+    try:
+        numbers = np.array(list(map(float, words)), np.float64)
+    except ValueError:
+        numbers = np.zeros(0)
+    if numbers.shape != (12,) or not np.isfinite(numbers).all():
+        raise DataError(f"{path}: {where} should hold 12 numbers of a pose: download it again")
+    T = np.eye(4)
+    T[:3] = numbers.reshape(3, 4)
+    return T

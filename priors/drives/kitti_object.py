@@ -1,0 +1,179 @@
+"""KITTI object, as downloaded: images and sweeps that have nothing to do with each other, each with its calibration.
+
+    training/{image_2,image_3}/000000.png, velodyne/000000.bin, calib/000000.txt, label_2/
+    testing/, the same without labels
+
+Quirks kept here (the devkit's readme):
+- A "drive" is a split. Its frames are of many drives: there are no poses, no times and no motion between them.
+- calib/ has P0..P3, R0_rect, Tr_velo_to_cam and Tr_imu_to_velo of each frame; the image's own header tells its size.
+- A sweep goes through camera 0's rectification R0_rect, then to this camera by its P's offset. It is not compensated
+  for the car's motion, and nothing here tells the motion: at the sides points may lie a metre off.
+- image_3 is another download. Labels are not read.
+"""
+
+import re
+from functools import cached_property, lru_cache
+from itertools import islice
+from os import scandir
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from priors.drives import BY_FRAME, CameraDrive, DriveOptions
+from priors.drives._camera_drive import Files, Readers
+from priors.drives._files import (
+    IMAGE_SUFFIXES,
+    choose,
+    image_size,
+    need,
+    read_key_values,
+    search,
+    split_projection,
+    stems,
+)
+from priors.drives._rigs import KITTI
+from priors.drives._velodyne import read_sweep_file
+from priors.errors import DataError, UsageError
+from priors.types import Camera, Matrix, Sweep
+
+BELOW = 2
+"""How many levels below the data set's own folder its splits are: data_object/, then a split."""
+IMAGE = re.compile(r"\d{6}\.(png|jpe?g)", re.IGNORECASE)
+CALIBRATION = "download data_object_calib.zip"
+
+
+def recognises(path: Path) -> bool:
+    """Tell whether the folder is a split, or holds splits."""
+    return bool(search(path, is_drive, BELOW))
+
+
+def is_drive(folder: Path) -> bool:
+    """Tell whether the folder is itself a split: images by number, and a calibration of each or sweeps beside them."""
+    beside = any((folder / name).is_dir() for name in ("calib", "velodyne", "label_2"))
+    return beside and not (folder / "calib.txt").is_file() and _has_image(folder / "image_2")
+
+
+def open_drive(path: Path, options: DriveOptions) -> "KittiObject":
+    """Open one split; path is its folder, or the data set's with options.drive."""
+    if options.truth is not None:
+        raise UsageError(f"{path}: KITTI's object benchmark has no depth maps: leave --truth out")
+    folder = choose(search(path, is_drive, BELOW), options.drive, path, "a split (training/image_2/000000.png, calib/)")
+    return KittiObject(folder, options.camera or "image_2")
+
+
+def _has_image(folder: Path) -> bool:
+    try:
+        with scandir(folder) as entries:
+            return any(IMAGE.fullmatch(entry.name) for entry in islice(entries, 20))
+    except OSError:
+        return False
+
+
+class KittiObject(CameraDrive):
+    """One camera's view of the frames of a split."""
+
+    pairs = (("image_2", "image_3"),)
+    usual_camera = "image_2"
+
+    def __init__(self, folder: Path, camera: str) -> None:
+        super().__init__(folder, camera)
+        partner = self.paired_camera()
+        self.images = stems(self.folder / camera, IMAGE_SUFFIXES)
+        if not self.images:
+            raise DataError(f"{self.folder / camera}: no images: download data_object_{camera}.zip")
+        self.others = {i: path for i, path in stems(self.folder / partner, IMAGE_SUFFIXES).items() if i in self.images}
+        self._sweeps = {i: p for i, p in stems(self.folder / "velodyne", [".bin"]).items() if i in self.images}
+        self.camera, self.baseline_m = self.camera_of(self.ids[0]), self.baseline_of(self.ids[0])
+        self.rig = KITTI
+
+    @property
+    def name(self) -> str:
+        """The data set and the split."""
+        return f"kitti_object_{super().name}"
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest records: cameras differ by frame."""
+        return {**super().describe(), "cameras": BY_FRAME}
+
+    def sources(self) -> list[Path]:
+        """List the first frame's calibration; a frame's own is watched with what it reads."""
+        return [self._calibration_file(self.ids[0])]
+
+    def scans(self) -> dict[str, list[str]]:
+        """List the frame ids that each sensor has, for the audit."""
+        return {"other": list(self.others), "sweep": list(self._sweeps)}
+
+    def readers(self, id_: str) -> Readers:
+        """Return what can be read of a frame: also its sweep; there is none of its neighbours."""
+        readers = super().readers(id_)
+        if id_ in self._sweeps:
+            readers["sweep"] = lambda offset=0: self._read_sweep(id_) if offset == 0 else None
+        return readers
+
+    def files(self, id_: str) -> Files:
+        """Return which file each reader reads: also the sweep, and the calibration that it goes through."""
+        files: Files = {
+            "sweep": lambda offset=0: self._sweeps.get(id_) if offset == 0 else None,
+            "sweep.calibration": lambda: self._calibration_file(id_),
+            "image.calibration": lambda: self._calibration_file(id_),
+        }
+        return super().files(id_) | files
+
+    def missing(self, id_: str) -> dict[str, str]:
+        """Say why a reader is not there, and which zip has it."""
+        truth = "KITTI's object benchmark has no depth maps"
+        zip_ = "data_object_image_3.zip" if self.partner == "image_3" else "data_object_image_2.zip"
+        return {
+            "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras: download {zip_}",
+            "sweep": f"{self.folder / 'velodyne'}: no sweep {id_}.bin: download data_object_velodyne.zip",
+            "truth": truth,
+            "sparse": truth,
+            "sky": "KITTI has no sky masks",
+        }
+
+    def camera_of(self, id_: str) -> Camera:
+        """Return the frame's own camera."""
+        return Camera(self._projection(id_, self.camera_name)[0], self._size_of(self.images[id_]))
+
+    def baseline_of(self, id_: str) -> float | None:
+        """Return the baseline of the frame's own pair."""
+        if id_ not in self.others or self.partner is None:
+            return None
+        places = [self._projection(id_, name)[1][0, 3] for name in (self.camera_name, self.partner)]
+        return self.baseline(float(places[0] - places[1]), self._calibration_file(id_))
+
+    def T_cam_lidar(self, id_: str) -> Matrix | None:
+        """Return the LiDAR's place at the frame."""
+        if id_ not in self._sweeps:
+            return None
+        path = self._calibration_file(id_)
+        values = self._calibration(path)
+        R_rect, T_cam0_velo = np.eye(4), np.eye(4)
+        R_rect[:3, :3] = need(values, "R0_rect", 9, path).reshape(3, 3)
+        T_cam0_velo[:3] = need(values, "Tr_velo_to_cam", 12, path).reshape(3, 4)
+        return self._projection(id_, self.camera_name)[1] @ R_rect @ T_cam0_velo
+
+    def _read_sweep(self, id_: str) -> Sweep:
+        return Sweep(read_sweep_file(self._sweeps[id_]), None)
+
+    @cached_property
+    def _calibration(self) -> Any:
+        return lru_cache(maxsize=64)(read_key_values)
+
+    @cached_property
+    def _size_of(self) -> Any:
+        return lru_cache(maxsize=None)(image_size)
+
+    def _projection(self, id_: str, camera: str) -> tuple[Matrix, Matrix]:
+        path, key = self._calibration_file(id_), f"P{camera[-1]}"
+        return split_projection(need(self._calibration(path), key, 12, path).reshape(3, 4), key, path)
+
+    def _calibration_file(self, id_: str) -> Path:
+        split = self.folder.name
+        above = [parent / "data_object_calib" / split for parent in list(self.folder.parents)[:2]]
+        places = [folder / "calib" / f"{id_}.txt" for folder in (self.folder, *above)]
+        found = next((path for path in places if path.is_file()), None)
+        if found is None:
+            raise DataError(f"{places[0]}: no such file: {CALIBRATION}")
+        return found
