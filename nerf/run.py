@@ -7,7 +7,6 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
            /metrics.json, renders/   nerf.report
 """
 
-import json
 import re
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -16,95 +15,42 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from eval.files import write_bytes
 from eval.lpips import Lpips
 from nerf import cameras, checkpoint, fields, journal
+from nerf.asked import CONFIG, RunConfig, comparable, read, write
 from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
 from nerf.evidence.lidar import sweeps_of
 from nerf.fit import OnStep, fit
-from nerf.guide import Guide, open_guide, place_of
+from nerf.guide import Guide, open_guide
 from nerf.model import Model, ShowsScene
 from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
-from nerf.rate import Rate
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
-from nerf.split import SPARSE_STEP, in_name, split
 from nerf.truths import Truths
 from nerf.viewpoints import Viewpoints, along
 from priors import origin
 from priors.drive_around import Stretch
 from priors.drives import poses_remark, reopen
 from priors.errors import DataError, expect
-from priors.filters import Filters
 from priors.machine import threads
 from priors.machine.device import pick_device
 from priors.owner.claim import Claim, hold, owner_of
-from priors.records import earlier, restore
+from priors.records import earlier
 from priors.selection import select
 from priors.types import Drive
 
-FORMAT = 1
 RUNS = Path("runs")
 """Where runs are kept unless a folder is named."""
 KEY = re.compile("-[0-9a-f]{10}$")
 """What tells a prior from others of its method, at the end of its folder's name."""
-CONFIG = "config.json"
-"""What every run's folder has."""
 OWNER = ".owner"
 """File in a run's folder that says which process fits it (priors/owner)."""
 SCENES = ".scenes"
 """Folder beside the runs that holds their prepared arrays, shared by all of them."""
-
-
-@dataclass(frozen=True)
-class RunConfig:
-    """What a run was asked for."""
-
-    drive: dict[str, Any]
-    """What reopens the drive."""
-    prior: str | None
-    """The prior's folder; None: colours alone."""
-    frames: str | None
-    """Range of frames, a:b."""
-    views: str
-    """dense, sparse or a number."""
-    filters: Filters
-    """What the prior passes before it is used."""
-    fit: FitConfig
-    """Everything else."""
-    sparse_step: int | None = None
-    """Of the frames that are not held out, every so many-th is a sparse view; None: every 4th, as earlier versions
-    had it, or other views."""
-    finding: dict[str, Any] | None = None
-    """What was found of the prior before the fit (nerf/evidence/finding.py); None: it was not looked for."""
-
-    @classmethod
-    def of(cls, drive: Drive, prior: Guide | None, scene: SceneConfig, fit: FitConfig) -> "RunConfig":
-        """Describe a run of an open drive and an open prior."""
-        where = None if prior is None else place_of(prior)
-        positions = select(drive.ids, scene.frames)
-        step = Rate.of(drive, positions).sparse_step if scene.views == "sparse" else None
-        return cls(drive.describe(), where, scene.frames, scene.views, scene.filters, fit, step)
-
-    @property
-    def title(self) -> str:
-        """What the run is, as its usual folder's name ends: `<field>-<views>`, then `<loss>-<prior>`."""
-        loss = [self.fit.losses.loss] if fields.is_trained(self.fit.model.family) else []
-        guide = [] if self.prior is None else [*loss, Path(self.prior).name]
-        return "-".join([self.fit.model.family, in_name(self.views), *guide])
-
-    @property
-    def scene(self) -> SceneConfig:
-        """What the run's scene has."""
-        return SceneConfig(self.views, self.frames, self.filters, self.sparse_step or SPARSE_STEP)
-
-    def parts(self, count: int) -> tuple[list[int], list[int]]:
-        """Part so many frames into training and held-out positions."""
-        return split(count, self.views, self.sparse_step)
 
 
 @dataclass(frozen=True)
@@ -159,7 +105,7 @@ class Run:
         with self.held() as claim:
             found = self.checked.finding
             config = replace(self.config, finding=None if found is None else asdict(found))
-            _write(self.folder, config)  # of two that began at once, the one that trains has described the run
+            write(self.folder, config)  # of two that began at once, the one that trains has described the run
             cameras.keep(self.folder, self.scene)
             device = pick_device(device)
             model = fit(self.scene, self.config.fit, self.folder, on_step, device, lambda: claim.lost)
@@ -299,11 +245,11 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     config = earlier(config, before)  # what an earlier version began goes on as it was
     if before.sparse_step is None:
         config = replace(config, sparse_step=None)  # it had every 4th frame
-    if _comparable(before) != _comparable(config):
+    if comparable(before) != comparable(config):
         raise DataError(f"{path}: this folder holds a run with other settings: choose another --run, or delete it")
     if same_budget and (before.fit.steps, before.fit.seconds) != (config.fit.steps, config.fit.seconds):
         forget(folder)
-    _write(folder, config)
+    write(folder, config)
     return Run(folder, config)
 
 
@@ -337,18 +283,7 @@ def open_run(folder: Path) -> Run:
     Raises:
         DataError: there is no config.json in it, or it is damaged or of another format.
     """
-    path = folder / CONFIG
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-        if record.pop("format") != FORMAT:
-            raise DataError(f"{path}: a run of another format: train again")
-        return Run(folder, restore(RunConfig, record))
-    except FileNotFoundError as error:
-        raise DataError(
-            f"{path}: no such file: not a run's folder (`nerf fit DATA --run {folder}` makes one)"
-        ) from error
-    except (ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{path}: damaged ({error}): train again") from error
+    return Run(folder, read(folder))
 
 
 def moved(run: Run, data: Path) -> Run:
@@ -362,7 +297,7 @@ def moved(run: Run, data: Path) -> Run:
         raise DataError(f"--data {data}: is not the drive of {run.folder}: its calibration, poses or images differ")
     config = replace(run.config, drive=drive.describe())
     with suppress(OSError):  # a run that cannot be written is told of the new place each time
-        _write(run.folder, config)
+        write(run.folder, config)
     return replace(run, config=config, source=drive)
 
 
@@ -382,17 +317,3 @@ def find(path: Path) -> list[Path]:
     if not folders:
         raise DataError(f"{path}: not a run's folder, and no runs in it: `nerf fit` makes one")
     return folders
-
-
-def _write(folder: Path, config: RunConfig) -> None:
-    """Write a run's config."""
-    write_bytes(folder / CONFIG, (json.dumps({"format": FORMAT, **asdict(config)}, indent=2) + "\n").encode())
-
-
-def _comparable(config: RunConfig) -> dict[str, Any]:
-    """Return what must be equal to go on: a larger budget may be asked for later."""
-    record = json.loads(json.dumps(asdict(config)))
-    for budget in ("steps", "seconds"):
-        record["fit"].pop(budget)
-    record.pop("finding")
-    return record

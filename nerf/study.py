@@ -17,6 +17,7 @@ from typing import Any, Protocol, cast
 
 from eval.lpips import Lpips
 from eval.protocol import ScoreError
+from nerf.asked import RunConfig
 from nerf.config import FitConfig
 from nerf.fields import is_trained
 from nerf.fit import OnStep
@@ -25,7 +26,7 @@ from nerf.losses import DepthLoss, DepthMean
 from nerf.prepare import ProgressBar, SceneConfig, silent
 from nerf.quality import BEST
 from nerf.report import Report
-from nerf.run import Run, RunConfig, claim
+from nerf.run import Run, claim
 from nerf.split import in_name
 from priors.errors import DataError, UsageError
 from priors.filters import Filters

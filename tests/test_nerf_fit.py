@@ -10,10 +10,11 @@ import torch
 from conftest import FullDisk
 
 from nerf import checkpoint, fields
+from nerf.asked import RunConfig
 from nerf.config import FitConfig, ModelConfig
 from nerf.fit import Status, fit
 from nerf.losses import LossConfig
-from nerf.run import RunConfig, claim, open_run
+from nerf.run import claim, open_run
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.space import Space

@@ -107,6 +107,8 @@ def test_the_opposite_does_not(priors: tuple[str, ...], tmp_path: Path) -> None:
     assert "(!)" in found[0].measured and "by colours alone is" in found[0].why
     assert "is off: the fields that lean on it have an AbsRel of 1." in found[1].why
     assert "stereo is off" in found[0].why and "stereo" not in found[1].why
+    assert all("mono is off" in found[number].why for number in (2, 3, 4, 5))
+    assert found[4].why.startswith("with this mean a sparse map pulls as hard")
 
 
 def test_a_page_has_both_numbers_in_every_cell(priors: tuple[str, ...], tmp_path: Path) -> None:

@@ -13,10 +13,11 @@ import torch
 from safetensors.torch import load_file
 
 from nerf import checkpoint
+from nerf.asked import CONFIG, RunConfig
 from nerf.config import FitConfig, ModelConfig
 from nerf.fit import Status
 from nerf.prepare import SceneConfig
-from nerf.run import CONFIG, OWNER, Run, RunConfig, begin, names_of, open_run
+from nerf.run import OWNER, Run, begin, names_of, open_run
 from nerf.viewpoints import read_poses
 from priors.drives import open_drive
 from priors.errors import DataError

@@ -9,8 +9,9 @@ from factories import write_raw
 from cli.arguments import parse
 from cli.nerf.fit import FitArguments
 from cli.priors.build import BuildArguments, _with_methods
+from nerf.asked import RunConfig
 from nerf.page import fit_command
-from nerf.run import Run, RunConfig
+from nerf.run import Run
 from priors import build
 from priors.report.typed import build_command
 

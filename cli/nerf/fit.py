@@ -12,6 +12,7 @@ from cli.durations import seconds
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
 from nerf import checkpoint, fields
+from nerf.asked import RunConfig
 from nerf.checkpoint import Spent
 from nerf.config import Align, FitConfig, ModelConfig
 from nerf.gaussians.config import GaussianConfig
@@ -19,7 +20,7 @@ from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
 from nerf.quality import AUTO, SECONDS, Quality, family_of
 from nerf.rate import Rate
-from nerf.run import RUNS, Run, RunConfig, begin
+from nerf.run import RUNS, Run, begin
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.split import SPARSE_STEP

@@ -97,7 +97,7 @@ def dense_is_geometry(measured: Measured) -> Finding:
             holds = abs(psnr - alone) <= 1 and abs_rel <= (1 - LESS_ERROR) * error
             tests.append(Test(f"{field} {role}", holds, f"{psnr - alone:+.2f} dB, AbsRel {error:.3f} to {abs_rel:.3f}"))
     says = "In dense views a prior takes at least 30 % of AbsRel, and changes PSNR by less than 1 dB."
-    return _finding(says, tests, lambda: "")
+    return _finding(says, tests, lambda: _off(measured, PRIORS[1:]))
 
 
 def denser_is_better(measured: Measured, *, over_all: bool) -> Finding:
@@ -112,8 +112,8 @@ def denser_is_better(measured: Measured, *, over_all: bool) -> Finding:
         told = f"{few:.2f} dB at {DENSITIES[0]:.0%}, {whole:.2f} with all"
         tests.append(Test(role, whole > few + SAME_DB, told))
     says = f"The denser the better (depth loss as the mean over {rule})."
-    why = "with this mean a sparse map pulls as hard as a dense one" if not over_all else ""
-    return _finding(says, tests, lambda: why)
+    why = [] if over_all else ["with this mean a sparse map pulls as hard as a dense one"]
+    return _finding(says, tests, lambda: "; ".join([*why, *filter(None, [_off(measured, PRIORS[1:])])]))
 
 
 def little_is_enough(measured: Measured) -> Finding:
@@ -123,7 +123,9 @@ def little_is_enough(measured: Measured) -> Finding:
         few = measured.psnr(role, density=DENSITIES[0], over_all=True)
         if alone is not None and few is not None:
             tests.append(Test(role, few > alone, f"{few - alone:+.2f} dB beside colours alone"))
-    return _finding("A tiny amount of depth, 5 % of the pixels, improves sparse views.", tests, lambda: "")
+    return _finding(
+        "A tiny amount of depth, 5 % of the pixels, improves sparse views.", tests, lambda: _off(measured, PRIORS[1:])
+    )
 
 
 def masked_mono(measured: Measured) -> Finding:
