@@ -21,6 +21,7 @@ from nerf.gaussians.types import Gaussians, SplatMoments
 from nerf.losses import LossConfig
 from nerf.scene import Scene
 from priors.errors import DataError, UsageError
+from priors.geometry import crop
 
 pytestmark = pytest.mark.splats
 
@@ -117,6 +118,16 @@ def test_each_view_is_drawn_once_a_lap() -> None:
         == [position_at(train, 7, step) for step in range(12)]
         != [position_at(train, 8, step) for step in range(12)]
     )
+
+
+def test_a_part_of_a_view_is_what_the_whole_shows_there() -> None:
+    """As a live view draws it, piece by piece; wide Gaussians beside the image are drawn a bit otherwise."""
+    scene, settings = corridor("sparse"), config(5)
+    model = fields.family("splat").start(scene, settings, "cpu")
+    whole = model.render(scene.T_world_cam[9], scene.camera)
+    part = model.render(scene.T_world_cam[9], crop(scene.camera, 8, 0, (16, 64)))
+    assert np.abs(part.rgb - whole.rgb[8:]).mean() < 0.02
+    assert np.median(np.abs(part.depth_m - whole.depth_m[8:]) / whole.depth_m[8:]) < 0.02
 
 
 def some(count: int, seed: int = 0) -> Gaussians:

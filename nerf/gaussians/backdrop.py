@@ -11,8 +11,8 @@ from nerf.sky import Sky, SkyConfig
 from nerf.twin.sky import corners
 from priors.sky import sky_mask
 
-CLEAR = 1e-3
-"""A pixel through which less light passes shows no sky."""
+CLEAR, TRAINED = 1e-3, 1e-2
+"""A pixel through which less light passes shows no sky, and none to learn from."""
 MOST_PIXELS, MOST_FRAMES = 2048, 64
 """Pixels of a frame, and frames, that are looked at before the first step."""
 DARK, LIGHT = 0.02, 0.98
@@ -29,10 +29,10 @@ class Backdrop:
         self._flat = torch.empty(0, dtype=torch.int64)
         self._rgb = torch.empty(0)
 
-    def behind(self, seen: Rasterised, viewpoint: Viewpoint) -> Tensor:
-        """Return a picture (h, w, 3) with the sky behind it."""
+    def behind(self, seen: Rasterised, viewpoint: Viewpoint, clear: float = CLEAR) -> Tensor:
+        """Return a picture (h, w, 3) with the sky behind it, where more light than a share `clear` passes."""
         passes = (1 - seen.opacity).flatten()
-        self._flat = torch.nonzero(passes > CLEAR).flatten()
+        self._flat = torch.nonzero(passes > clear).flatten()
         self._rgb = self.sky.forward(self._directions(viewpoint, self._flat))
         whole = seen.rgb.reshape(-1, 3).clone()
         whole[self._flat] += passes[self._flat, None] * self._rgb

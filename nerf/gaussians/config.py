@@ -21,7 +21,7 @@ class GaussianConfig:
     dssim: float = 0.2
     """Share of 1 - SSIM in the colour loss; the rest is the mean absolute difference."""
     densify: bool = True
-    """Split and clone Gaussians where the image asks for more of them, and delete those that nobody sees."""
+    """Split Gaussians where the image asks for more of them, and delete those that show nothing."""
 
     def __post_init__(self) -> None:
         expect_between(1, self.most_gaussians, MOST, "--most-gaussians")

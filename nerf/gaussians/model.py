@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
 from nerf.gaussians import growth
-from nerf.gaussians.backdrop import Backdrop
+from nerf.gaussians.backdrop import TRAINED, Backdrop
 from nerf.gaussians.config import GaussianConfig
 from nerf.gaussians.growth import Growth
 from nerf.gaussians.losses import geometry_losses
@@ -107,7 +107,7 @@ class SplatModel:
     def _learn(self, shot: Shot, seen: Rasterised, config: FitConfig, at: tuple[int, float]) -> StepResult:
         """Go back from what is seen of a frame, and move the parameters."""
         step, progress = at
-        rgb = self.backdrop.behind(seen, shot.viewpoint)
+        rgb = self.backdrop.behind(seen, shot.viewpoint, TRAINED)
         share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
         colour = self._splat.colour_loss(rgb, shot.rgb, share)
         losses = geometry_losses(config.losses, shot, seen, config.rays, (config.seed, step))

@@ -57,6 +57,8 @@ class Rules:
 
 SINGLE, PAIR = re.compile(r"(\d{10})"), re.compile(r"(\d{6})(?:_10)?")
 CROPPED = (352, 1216)
+MOST_TOLD = 5
+"""Faults of an archive that are told one by one."""
 RULES: dict[Benchmark, Rules] = {
     "completion": Rules(SINGLE, "{:010d}.png", 1000, CROPPED),
     "prediction": Rules(SINGLE, "{:010d}.png", 500, CROPPED),
@@ -126,10 +128,6 @@ def check(path: Path, benchmark: Benchmark) -> list[str]:
                 wrong.append(f"{name}: has no value")
     more = len(wrong) - MOST_TOLD
     return wrong if more <= 0 else [*wrong[:MOST_TOLD], f"and {more} more"]
-
-
-MOST_TOLD = 5
-"""Faults of an archive that are told one by one."""
 
 
 def _name(view: View, rules: Rules) -> str:

@@ -26,6 +26,7 @@ STEP_PX = 32
 LARGEST_SIDE = 16384
 MOST_DIFFERENT = 0.01
 """Largest median difference of an output from PyTorch's, as a share of its median size: more is a fault."""
+PADDED = "A smaller pair is padded at its right and its bottom by its last pixels; cut the outputs to its size."
 Array = npt.NDArray[np.float32]
 
 VALUES = {
@@ -256,6 +257,3 @@ def _about(exported: Exported, session: Any, differences: dict[str, float]) -> s
         lines += [f"{what:<6} {value.name} {json.dumps(value.shape)}: {VALUES[value.name]}" for value in values]
     lines += [f"Largest difference from PyTorch, {name}: {value:.3g}" for name, value in differences.items()]
     return "".join(f"{line}\n" for line in lines)
-
-
-PADDED = "A smaller pair is padded at its right and its bottom by its last pixels; cut the outputs to its size."
