@@ -70,7 +70,7 @@ def lineup(**more: Method) -> list[Entrant]:
 
 def at_once(method: Method, drive: Any, frame: int, timeout_s: float | None) -> Scouted:
     """A scout that needs no process of its own."""
-    return Scouted(0.01, 0.01, 0.5)
+    return Scouted(0.01, 0.01, 0.01, 0.5)
 
 
 def race(drive: Drive, folder: Path, entrants: list[Entrant] | None = None, **more: Any) -> Race:
@@ -160,7 +160,7 @@ def test_who_cannot_work_says_why_and_the_others_go_on(drive: Drive, tmp_path: P
 
 def test_a_slow_one_makes_fewer_maps(drive: Drive, tmp_path: Path) -> None:
     def scout(method: Method, *_: Any) -> Scouted:
-        return Scouted(0, 3.0 if method == Shifted(0.1) else 0.01)
+        return Scouted(0, 3.0 if method == Shifted(0.1) else 0.01, 0)
 
     made = race(drive, tmp_path, limit_s=8.0, scout=scout)
     entered = made.enter()
@@ -285,7 +285,7 @@ def test_a_damaged_bench_is_told_or_made_anew(run: Run, tmp_path: Path) -> None:
 
 
 def test_a_figure_that_is_none_is_null(drive: Drive, tmp_path: Path) -> None:
-    made = race(drive, tmp_path, scout=lambda *_: Scouted(0, 0, math.nan))
+    made = race(drive, tmp_path, scout=lambda *_: Scouted(0, 0, 0, math.nan))
     made.run(made.enter())
     assert "NaN" not in (tmp_path / "bench/bench.json").read_text()
     assert math.isnan(Bench.load(tmp_path / "bench").standings[0].peak_gib)

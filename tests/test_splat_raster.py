@@ -40,6 +40,7 @@ def near(ours: Tensor, theirs: Tensor, share: float, what: str = "", least: floa
 
 def same_picture(ours: Rasterised, theirs: Rasterised, share: float = 5e-6) -> None:
     torch.testing.assert_close(ours.index, theirs.index)
+    torch.testing.assert_close(ours.radii_px, theirs.radii_px.float())
     for name in IMAGES:
         near(getattr(ours, name), getattr(theirs, name), share, name)
 

@@ -15,7 +15,9 @@ from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName
 from cli.nerf.sources import named_priors
 from eval import typeset
-from nerf.bench import results
+from eval.files import write_bytes
+from nerf.bench import ablation, results
+from nerf.bench.ablation import ablated
 from nerf.bench.curve import Curve, Entrant
 from nerf.bench.marks import Mark, ascending
 from nerf.bench.race import Race
@@ -24,7 +26,7 @@ from nerf.fields import is_trained
 from nerf.guide import TRUTH
 from nerf.split import HELD_OUT, check_views
 from nerf.study import NONE, FitRunner, Study
-from priors.errors import LARGEST_SEED, expect_between
+from priors.errors import LARGEST_SEED, UsageError, expect_between
 from priors.selection import parse_range
 
 EXAMPLES = """Fit fields side by side and score each as it trains: PSNR, SSIM, LPIPS and AbsRel against wall time.
@@ -34,6 +36,7 @@ examples:
   nerf bench street/ --priors none cache/ --views sparse
   nerf bench street/ --priors cache/DRIVE/stereo-KEY --field ngp mip360 --at 10s 30s 60s 300s --seed 0 1 2
   nerf bench street/ --priors cache/ --field mip360 --budgets            a fit of its own for each time
+  nerf bench street/ --priors cache/ --field ngp --ablate --steps 100 200 400     what each switch that skips work buys
   nerf bench street/ --priors cache/ --ceiling                           what the held-out views could score at best
 """
 
@@ -60,6 +63,9 @@ class BenchArguments(ThreadArguments, SequenceArguments):
     """Make a fit of its own for each of them, whose learning rate falls until just then."""
     ceiling: bool = False
     """Also fit the held-out views themselves, with the first seed: what a field could show of them at best."""
+    ablate: bool = False
+    """Also make each fit without each switch that skips work, one by one: what the switch saves, and what it changes,
+    at equal steps and at equal time."""
     rays: int = 1024
     """Rays in a step."""
     frames: str | None = None
@@ -73,6 +79,8 @@ class BenchArguments(ThreadArguments, SequenceArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.marks(), self.fit()
+        if self.ablate and self.budgets:
+            raise UsageError("--ablate: a curve is compared at equal time too: leave out --budgets")
         parse_range(self.frame_range(self.frames))
         for views in self.views:
             check_views(views)
@@ -102,6 +110,8 @@ class BenchArguments(ThreadArguments, SequenceArguments):
             specs += Study(known, self.loss, (HELD_OUT,), trained, seeds=self.seed[:1]).runs()
         marks = self.marks()
         each = [(mark,) for mark in marks] if self.budgets else [marks]
+        if self.ablate:
+            return list(dict.fromkeys(one for spec in specs for own in each for one in ablated(spec, self.fit(), own)))
         return list(dict.fromkeys(Entrant.of(spec, self.fit(), own) for spec in specs for own in each))
 
 
@@ -125,7 +135,13 @@ def _bench(args: BenchArguments, command: str) -> int:
     curves = race.run(_tell)
     laid = results.lay_out(curves, drive.name)
     out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
-    for path in results.save(curves, args.out, laid, command):
+    written = results.save(curves, args.out, laid, command)
+    if args.ablate:
+        switches = ablation.lay_out(curves, drive.name)
+        out.print(typeset.render(switches, out.width)) if out.is_terminal else out.write(typeset.plain(switches))
+        written.append(args.out / "ablation.md")
+        write_bytes(written[-1], f"{typeset.markdown(switches)}\n```bash\n{command}\n```\n".encode())
+    for path in written:
         out.print(f"wrote {path}")
     return DATA_ERROR if any(curve.error for curve in curves) else 0
 

@@ -11,15 +11,17 @@ from cli.durations import duration, seconds
 from eval import typeset
 from eval.protocol import PRESETS, preset
 from priors import cache, methods
-from priors.bench import entrants, table
+from priors.bench import entrants, sweep, table
 from priors.bench.entrants import Entrant
 from priors.bench.judge import judge
 from priors.bench.race import BUSY, Race, load
 from priors.bench.results import FOLDER
 from priors.bench.schedule import Schedule
 from priors.cache import Prior
+from priors.draw import lines
 from priors.errors import UsageError, expect, expect_between
-from priors.selection import parse_range
+from priors.selection import parse_range, select
+from priors.types import Drive
 
 EXAMPLES = """Measure every method, model, size and runtime on the same frames of a drive, in turn: time, memory, error.
 Prints a table and marks what no other beats; writes cache/DRIVE/bench/, which `priors report` shows and
@@ -31,6 +33,7 @@ examples:
   priors bench street/ --runtimes auto --count 5 --at-most 2m         each network as this machine runs it best
   priors bench street/ --only stereo completion SGBM                  those whose names begin so
   priors bench street/ --network mine.onnx                            your own network beside ours
+  priors bench street/ --sweep size --only stereo lidar               how time and memory grow with the image
   priors bench street/ --against cache/DRIVE/lidar-KEY                a prior in place of the truth
 """
 MOST_FRAMES = 10_000
@@ -60,6 +63,9 @@ class PriorsBenchArguments(ThreadArguments, SequenceArguments):
     """PSMNet as a peer: a file with its class PSMNet, and its weights."""
     at_most: str = "10m"
     """How long it may take: 90s, 10m, 1h. What is slow then makes fewer frames."""
+    sweep: Literal["size", "disparity", "sweeps"] | None = None
+    """Measure instead how time and memory grow: with the image's size, the disparities that stereo searches, or the
+    sweeps that LiDAR accumulates."""
     cache: Path = Path("cache")
     """Where results go: cache/DRIVE/bench."""
 
@@ -99,6 +105,8 @@ def run(arguments: list[str]) -> int:
 
 def _bench(args: PriorsBenchArguments, command: str) -> int:
     drive, lineup = args.open(["priors", "bench"]), args.lineup()
+    if args.sweep is not None:
+        return _sweep(args, drive, lineup)
     against = None if args.against is None else cache.only(args.against)
     lineup = [each for each in lineup if against is None or not _is_itself(each, against)]
     frames, protocol = args.frame_range(args.frames), preset(args.protocol)
@@ -120,6 +128,22 @@ def _bench(args: PriorsBenchArguments, command: str) -> int:
     for path in [folder / "bench.json", *written]:
         out.print(f"wrote {path}")
     return DATA_ERROR if not any(standing.trials for standing in bench.standings) else 0
+
+
+def _sweep(args: PriorsBenchArguments, drive: Drive, lineup: list[Entrant]) -> int:
+    """Measure how time and memory grow; print the slopes, draw them."""
+    assert args.sweep is not None
+    indices = select(drive.ids, args.frame_range(args.frames))
+    frame = indices[len(indices) // 2]
+    able = [each for each in lineup if each.lacks(drive[frame]) is None]
+    with progress(f"sweep of {args.sweep}", len(sweep.points(args.sweep, able, drive[frame].camera.size))) as step:
+        grown = sweep.sweep(args.sweep, able, drive, frame, step)
+    laid = sweep.lay_out(args.sweep, grown, f"{drive.name}, frame {drive.ids[frame]}")
+    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
+    path = args.cache / drive.name / FOLDER / f"sweep-{args.sweep}.svg"
+    lines.write(path, sweep.plots(args.sweep, grown), 2)
+    out.print(f"wrote {path}")
+    return 0
 
 
 def _is_itself(entrant: Entrant, against: Prior) -> bool:

@@ -120,7 +120,7 @@ class Rasterised:
     index: Tensor
     """(v,) int64, ascending: the Gaussians that reach a pixel of the image."""
     radii_px: Tensor
-    """(v,) half the larger side of the box that each covers in the image, pixels."""
+    """(v,) half the distance of the first and last pixel that each reaches in the image, along its longer side."""
     kept: Any
     """What the way back needs; the kernels' own."""
 

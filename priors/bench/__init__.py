@@ -8,6 +8,7 @@
     results.py    what was measured, as JSON; what is there is not measured again
     front.py      which entrants no other beats
     table.py      the table and the plot
+    sweep.py      how time and memory grow with the work
     budget.py     the entrant for a time or an error
 
 `priors bench` prints and writes it, `priors build --budget` reads it.

@@ -13,7 +13,7 @@ from priors.bench import shipped
 from priors.bench.entrants import AUTO, Entrant, field_size
 from priors.bench.probe import calibrate
 from priors.bench.results import Bench, Standing, measured, of_drive
-from priors.machine import cpu
+from priors.machine import cpu, threads
 from priors.records import restore
 from priors.types import Drive, Frame, Method
 
@@ -72,8 +72,10 @@ def candidates(drive: Drive, frame: Frame, cache: Path) -> list[Candidate]:
 
 
 def _measured(bench: Bench) -> list[Candidate]:
-    """Return those of a bench that were timed and scored, where it is of this machine's kind."""
-    if bench.asked["machine"]["cpu"] != cpu.mode() or bench.asked["protocol"] is None:
+    """Return those of a bench that were timed and scored, where it was made on a machine like this one."""
+    machine = bench.asked["machine"]
+    alike = (machine["cpu"], machine["cores"]) == (cpu.mode(), threads.available())
+    if not alike or bench.asked["protocol"] is None:
         return []
     return [_candidate(standing) for standing in measured(bench.standings) if standing.kind == "method"]
 

@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from priors import drives
+from priors.bench.resized import Resized
 from priors.errors import DataError
 from priors.machine import cpu, threads
 from priors.machine.memory import keep_freed
@@ -37,6 +38,8 @@ class Errand:
     frame: int
     """Index of a frame."""
     threads: int
+    share: float = 1.0
+    """Of the images' sides that are kept."""
 
 
 @dataclass(frozen=True)
@@ -47,15 +50,25 @@ class Scouted:
     """Seconds of the first map: weights read, graphs made, compiled functions loaded."""
     warm_s: float = 0.0
     """Seconds of the last one."""
+    processor_s: float = 0.0
+    """Processor time of the last one, all threads."""
     peak_gib: float = float("nan")
     """Largest resident memory of its process."""
     error: str = ""
     """Why it made none, one line."""
 
 
-def send(method: Method, drive: Drive, frame: int, timeout_s: float | None = None) -> Scouted:
-    """Let a process of its own make a frame's map; what goes wrong there is told in the answer."""
-    errand = Errand(method, {"name": drive.name, **drive.describe()}, frame, threads.count())
+def send(method: Method, drive: Drive, frame: int, timeout_s: float | None = None, share: float = 1.0) -> Scouted:
+    """Let a process of its own make a frame's map; what goes wrong there is told in the answer.
+
+    Args:
+        method: how.
+        drive: opened again there, as it describes itself.
+        frame: index of the frame.
+        timeout_s: how long it may take; None: as long as it does.
+        share: of the images' sides that are kept.
+    """
+    errand = Errand(method, {"name": drive.name, **drive.describe()}, frame, threads.count(), share)
     command = [sys.executable, "-m", __name__]
     try:
         done = subprocess.run(command, input=pickle.dumps(errand), capture_output=True, timeout=timeout_s, check=False)
@@ -71,17 +84,20 @@ def send(method: Method, drive: Drive, frame: int, timeout_s: float | None = Non
 def run(errand: Errand) -> Scouted:
     """Make the map, here."""
     drive = drives.reopen(errand.drive)
-    frame, took = drive[errand.frame], []
+    if errand.share < 1:
+        drive = Resized(drive, errand.share)
+    frame, took, processor = drive[errand.frame], [], []
     try:
         with threads.limited(errand.threads), TemporaryDirectory() as folder:
             make = errand.method.resolve(drive[0]).prepare(drive, Path(folder))
             for _ in range(RUNS):
-                began = time.perf_counter()
+                began, worked = time.perf_counter(), time.process_time()
                 make(frame)
                 took.append(time.perf_counter() - began)
+                processor.append(time.process_time() - worked)
     except DataError as error:
         return Scouted(error=str(error))
-    return Scouted(took[0], took[-1], peak_gib())
+    return Scouted(took[0], took[-1], processor[-1], peak_gib())
 
 
 def peak_gib() -> float:

@@ -82,7 +82,7 @@ def rasterise(
 
     threads.over(regions, draw)
     index = torch.from_numpy(lists.gaussians)
-    return Rasterised(rgb, depth_sum, opacity, median_m, index, _radii(view, lists), kept)
+    return Rasterised(rgb, depth_sum, opacity, median_m, index, torch.from_numpy(lists.radii_px), kept)
 
 
 def backward(rasterised: Rasterised, gradients: ViewGradients) -> SplatGradients:
@@ -182,18 +182,12 @@ def _spread(view: View, size: tuple[int, int], chunks: int, regions: int) -> tup
     v, total = int(first_index[-1]), int(first_copy[-1])
     each, members = np.empty(v + 1, np.int32), np.empty(2 * total, np.int32)
     each[v] = total
-    lists = Lists(first_index, first_copy, cursor, np.empty(v, np.int64), np.empty(v, np.int32), each, members)
+    lists = Lists(first_index, first_copy, cursor, np.empty(v, np.int64), np.empty(v, np.float32), each, members)
     loop = splat_project.spread_over_regions
     threads.over(chunks, lambda first, last: loop(view, size, lists, first, last))
     first_member = np.append(by_region[:-1:chunks], total)
     nothing = np.empty(0, np.int32), np.empty(0, np.int64)
     return lists, Regions(members, first_member, *nothing, np.empty(regions * (TILES + 1), np.int32))
-
-
-def _radii(view: View, lists: Lists) -> Tensor:
-    """Return half the larger side of each box, pixels."""
-    boxes = view.boxes.reshape(-1, 4)[lists.rows]
-    return torch.from_numpy(np.maximum(boxes[:, 1] - boxes[:, 0], boxes[:, 3] - boxes[:, 2]) * np.float32(0.5))
 
 
 _spare: list[tuple[int, Scratch]] = []

@@ -100,8 +100,8 @@ class Lists(NamedTuple):
     """(chunks * regions,) where the next member of each region from each chunk goes."""
     gaussians: npt.NDArray[np.int64]
     """(v,) which Gaussians are in view."""
-    rows: Indices
-    """(v,) their rows."""
+    radii_px: Numbers
+    """(v,) half the larger sides of their boxes."""
     copies: Indices
     """(v,) the first copy of each."""
     members: Indices
@@ -243,10 +243,10 @@ def spread_over_regions(view: View, size: tuple[int, int], lists: Lists, first: 
         copy, place = lists.first_copy[chunk], lists.first_index[chunk]
         for row in range(chunk * CHUNK, chunk * CHUNK + view.found[chunk]):
             lists.gaussians[place] = view.gaussian[row]
-            lists.rows[place] = row
             lists.copies[place] = copy
-            place += 1
             left, right, top, bottom = box(view.boxes, row)
+            lists.radii_px[place] = np.float32(0.5) * max(right - left, bottom - top)
+            place += 1
             for v in range(top // REGION, bottom // REGION + 1):
                 for u in range(left // REGION, right // REGION + 1):
                     at = chunk * regions + v * across + u

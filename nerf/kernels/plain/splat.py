@@ -59,7 +59,8 @@ def rasterise(
             middle[rows, columns] = twin.median(some, blended).reshape(shape)
     if background is not None:
         rgb += (1 - opacity)[..., None] * background
-    radii_px = projected.half_px.amax(1)
+    low, high = twin.boxes(projected, size)
+    radii_px = 0.5 * (high - low).amax(1)
     kept = Kept(gaussians, viewpoint, drawing, background)
     return Rasterised(rgb, depth_sum, opacity, middle, index, radii_px, kept)
 
