@@ -1,4 +1,4 @@
-"""What commands that stress routines share: arguments, and what is done with the table."""
+"""What `priors stress` and `nerf stress` share: arguments, and what is done with the table."""
 
 import json
 import shlex

@@ -34,6 +34,8 @@ LEAST_MASS = 1e-6
 """A ray with less of the prior's mass than this in its samples has no target: its KL loss is 0."""
 INTERLEVEL_SOFT = 1e-7
 """Added to the weights that the interlevel loss divides by."""
+STEEPEST = 1e18
+"""Adam holds gradients within this: float32 does not hold a steeper one's square, and the weight would stand still."""
 OPAQUE = 0.5
 """Least opacity of a pixel whose depth is kept: below it, most of the light is the sky's."""
 

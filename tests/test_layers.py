@@ -58,6 +58,7 @@ ROOMS = [
     "nerf/twin",
     "nerf/kernels",
     "nerf",
+    "nerf/stress",
     "cli",
 ]
 """A room is a file, or a folder with all that is in it."""

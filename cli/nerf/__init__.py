@@ -15,6 +15,7 @@ PROGRAM = Program(
         "export": "write a point cloud or a mesh",
         "study": "fit a grid of priors, views, losses and fields; one table",
         "bench": "fit fields side by side: quality against time",
+        "stress": "run every numerical routine of fields at the limits of its numbers",
     },
     """\
   nerf fit street/ --prior cache/ --views sparse --time 60s       -> runs/..., held-out views scored

@@ -24,6 +24,18 @@ class _Rounded(torch.autograd.Function):
         return d_x.bfloat16().to(d_x.dtype) if ctx.rounds else d_x, None
 
 
+class _Limited(torch.autograd.Function):
+    """Hold a logit at LOGIT_MAX, an infinite one too; its gradient passes."""
+
+    @staticmethod
+    def forward(ctx: Any, logit: Tensor) -> Tensor:
+        return logit.clamp(max=LOGIT_MAX)
+
+    @staticmethod
+    def backward(ctx: Any, d_logit: Tensor) -> Tensor:
+        return d_logit
+
+
 def _round(x: Tensor, half: bool, kind: str = "both") -> Tensor:
     """Round where the bfloat16 kernels do, if they are to be followed."""
     return _Rounded.apply(x, kind) if half else x
@@ -43,8 +55,7 @@ def density(features: Tensor, layers: Layers, initial: float, half: bool = False
     x = _round(torch.relu(_product(x, layers.density0, half)), half)
     geometry = _round(_product(x, layers.density1, half), half, "gradient")
     logit = geometry[:, 0]
-    limited = logit + (logit.clamp(max=LOGIT_MAX) - logit).detach()
-    return initial * torch.exp(limited), geometry
+    return initial * torch.exp(_Limited.apply(logit)), geometry
 
 
 def shade(

@@ -86,7 +86,8 @@ def sight(samples: Samples, weights: Tensor, target: Target) -> Tensor:
     near = (t - target.prior_m[:, None]).abs() <= reach
     mass = torch.where(near, masses(samples, target), 0.0)
     counts = t <= target.prior_m[:, None] + reach
-    return torch.where(target.prior_m > 0, (counts * (w - mass) ** 2).sum(1), 0.0)
+    off = torch.where(counts, w - mass, 0.0)  # not a product with 0: NaN behind the surface does not count
+    return torch.where(target.prior_m > 0, (off**2).sum(1), 0.0)
 
 
 def distortion(samples: Samples, weights: Tensor) -> Tensor:

@@ -96,7 +96,7 @@ def _widened(histogram: Histogram) -> tuple[Tensor, Tensor, Tensor]:
     """Widen the bins: edges (r, 2b), and of the spaces between them mass and whether no bin covers them (r, 2b - 1)."""
     samples, margin = histogram.samples, histogram.margin
     packed = (samples.s0, samples.s1, histogram.weights)
-    offsets, (s0, s1, weights) = samples.offsets, (x[: samples.used].double() for x in packed)
+    offsets, (s0, s1, weights) = samples.offsets, (x[: max(samples.used, 1)].double() for x in packed)
     counts = offsets[1:] - offsets[:-1]
     most = max(int(counts.max()) if len(counts) else 0, 1)
     step = torch.arange(most, device=s0.device)

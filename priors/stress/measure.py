@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from priors.stress.precision import Floats
 from priors.stress.routine import Case, Gradient
-from priors.stress.tolerances import PLACES, STEP
+from priors.stress.tolerances import LEAST, PLACES, STEP
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,33 +88,71 @@ def as_array(values: Any) -> npt.NDArray[Any]:
 
 
 def _gradient_error(gradient: Gradient, found: Mapping[str, Any], random: np.random.Generator) -> float | None:
-    """Return the largest error of the gradients against central differences."""
+    """Return the largest error of the gradients against central differences, beyond what these leave open."""
     errors = []
     for name, at in gradient.at.items():
         ours = as_array(found[name]).astype(np.float64)
         if ours.shape != at.shape:
             return math.inf
-        finite = np.flatnonzero(np.isfinite(at))
-        places = random.permutation(finite)[:PLACES]
-        slopes = np.array([_slope(gradient, name, place) for place in places])
-        known = np.isfinite(slopes)
-        if not known.any():
+        places = _places(ours, at, gradient.smooth.get(name, np.ones(at.shape, bool)), random)
+        slopes = np.array([_slope(gradient, name, place) for place in places]).reshape(-1, 2)
+        slopes = np.concatenate([slopes, ours.reshape(-1)[places, None]], axis=1)[np.isfinite(slopes).all(axis=1)]
+        if not len(slopes):
             continue
-        scale = gradient.scale.get(name, float(np.abs(slopes[known]).max()))
-        off = np.abs(ours.reshape(-1)[places] - slopes)[known] / max(scale, float(np.finfo(np.float32).tiny))
+        slope, open_, given = slopes.T
+        largest = max(float(np.abs(slope).max()), float(np.abs(ours[np.isfinite(ours)]).max(initial=0)))
+        largest = max(largest, _least(gradient, at))
+        off = np.maximum(np.abs(given - slope) - open_, 0)
+        off = off / gradient.scale.get(name, max(largest, float(np.finfo(np.float32).tiny)))
         errors.append(float(np.max(np.where(np.isnan(off), np.inf, off))))
     return max(errors) if errors else None
 
 
-def _slope(gradient: Gradient, name: str, place: int) -> float:
-    """Return the central difference of the loss by one value."""
-    at = gradient.at[name]
+def _least(gradient: Gradient, at: Floats) -> float:
+    """Return the gradient by which a usual value moves LEAST of the loss: a smaller one has this natural scale."""
+    parts = np.abs(np.asarray(gradient.loss(gradient.at)))
+    return LEAST * float(parts[np.isfinite(parts)].sum()) / (_usual(at) or 1.0)
+
+
+def _usual(at: Floats) -> float:
+    """Return the usual size of an argument's values; 0 where it has none but 0."""
     usual = np.abs(at[np.isfinite(at) & (at != 0)])
-    step = STEP * max(abs(float(at.reshape(-1)[place])), float(np.median(usual)) if usual.size else 1.0)
+    return float(np.median(usual)) if usual.size else 0.0
+
+
+def _places(
+    ours: Floats, at: Floats, smooth: npt.NDArray[np.bool_], random: np.random.Generator
+) -> npt.NDArray[np.int64]:
+    """Choose values to move: one where the gradient is largest, one where it is not finite, and some others."""
+    finite = np.isfinite(at.reshape(-1)) & smooth.reshape(-1)
+    slopes = np.where(finite, np.abs(ours.reshape(-1)), -1)
+    chosen = random.permutation(np.flatnonzero(finite))[:PLACES]
+    if finite.any():
+        spoilt = np.flatnonzero(finite & ~np.isfinite(slopes))[:1]
+        chosen = np.concatenate([[np.argmax(np.where(np.isfinite(slopes), slopes, -1))], spoilt, chosen])
+    return np.unique(chosen).astype(np.int64)
+
+
+def _slope(gradient: Gradient, name: str, place: int) -> tuple[float, float]:
+    """Return the central difference of the loss by one value, and what it leaves open.
+
+    That is by how much another step gives another one, at a kink, and the rounding of the loss's parts.
+    """
+    short, rounding = _difference(gradient, name, place, STEP)
+    long, _ = _difference(gradient, name, place, 4 * STEP)
+    return short, abs(short - long) + rounding
+
+
+def _difference(gradient: Gradient, name: str, place: int, share: float) -> tuple[float, float]:
+    """Return the central difference with one step, and its rounding."""
+    at = gradient.at[name]
+    step = share * max(abs(float(at.reshape(-1)[place])), _usual(at) or 1.0)
     ends = []
     for side in (1, -1):
         moved = at.copy()
         moved.reshape(-1)[place] += side * step
-        ends.append((gradient.loss({**gradient.at, name: moved}), moved.reshape(-1)[place]))
+        ends.append((np.asarray(gradient.loss({**gradient.at, name: moved})), moved.reshape(-1)[place]))
     (above, high), (below, low) = ends
-    return (above - below) / (high - low)
+    moves = above != below  # what does not depend on it has no part in the rounding
+    rounding = float(np.abs(above[moves]).sum()) * 4 * float(np.finfo(np.float64).eps)
+    return float((above - below)[moves].sum()) / (high - low), rounding / (high - low)

@@ -19,12 +19,14 @@ class Gradient:
 
     found: Callable[[], Outputs]
     """The routine's gradients by the arguments' names."""
-    loss: Callable[[Mapping[str, Floats]], float]
-    """The function in float64, of arguments by name."""
+    loss: Callable[[Mapping[str, Floats]], Any]
+    """The function in float64, of arguments by name: a number, or parts (n,) whose sum it is, they keep more digits."""
     at: Mapping[str, Floats]
     """The arguments."""
     scale: Mapping[str, float] = field(default_factory=dict)
     """Natural scale of an argument's gradient; without one: its largest gradient."""
+    smooth: Mapping[str, Any] = field(default_factory=dict)
+    """Where an argument has a derivative, a mask; without one: everywhere. Elsewhere it is held, as nerf.types says."""
 
 
 @dataclass(frozen=True, slots=True)

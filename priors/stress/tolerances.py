@@ -13,7 +13,12 @@ VALUE: dict[PrecisionName, float] = {"fp32": 1e-5, "bf16": 2.0**-7, "fp16": 2.0*
 GRADIENT: dict[PrecisionName, float] = {"fp32": 1e-4, "bf16": 2.0**-7, "fp16": 2.0**-10}
 """Largest error of a gradient against central differences in float64, of the argument's largest gradient."""
 STEP = 1e-6
-"""Step of a central difference, as a share of the value that it moves (of the argument's usual value, where larger)."""
+"""Step of a central difference, as a share of the value that it moves (of the argument's usual value, where larger).
+
+A second one is four times as long: by how much the two differ is taken for what a difference leaves open, at a kink or
+where the loss is far larger than what moves it."""
+LEAST = 1e-6
+"""A gradient by which a value of usual size moves less than this share of the loss is as good as 0."""
 PLACES = 6
 """Values of each argument whose gradient is compared."""
 

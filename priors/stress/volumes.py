@@ -74,8 +74,8 @@ def cost_volume_gradient(given: Given) -> Case:
             found = torch.autograd.grad((matched() * torch.from_numpy(pull).float()).sum(), list(leaves.values()))
         return {name: slope[0] for name, slope in zip(leaves, found, strict=True)}
 
-    def loss(moved: Any) -> float:
-        return float((look_up(moved["left"], moved["right"], moved["disparity"]) * pull).sum())
+    def loss(moved: Any) -> Floats:
+        return (look_up(moved["left"], moved["right"], moved["disparity"]) * pull).ravel()
 
     def wanted() -> Outputs:
         return {"matches": look_up(*at.values())}

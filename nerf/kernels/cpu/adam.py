@@ -3,7 +3,18 @@
 import numpy as np
 import numpy.typing as npt
 
-from nerf.kernels.cpu.lanes import floats, fma, load_floats, root, round_bfloat, store, store_halves
+from nerf.kernels.cpu.lanes import (
+    floats,
+    fma,
+    larger,
+    load_floats,
+    root,
+    round_bfloat,
+    smaller,
+    store,
+    store_halves,
+)
+from nerf.types import STEEPEST
 from priors.machine.compiled import compiled
 
 Numbers = npt.NDArray[np.float32]
@@ -13,7 +24,8 @@ Numbers = npt.NDArray[np.float32]
 def _sixteen(weights, gradient, mean, square, copy, i, settings):  # type: ignore[no-untyped-def]
     beta_mean, beta_square, rate, inverse, epsilon = settings
     one = np.float32(1)
-    g = load_floats(gradient, i)
+    steepest = np.float32(STEEPEST)
+    g = smaller(floats(steepest), larger(floats(-steepest), load_floats(gradient, i)))  # NaN stays
     m = fma(floats(one - beta_mean), g - load_floats(mean, i), load_floats(mean, i))
     s = fma(floats(beta_square), load_floats(square, i), floats(one - beta_square) * (g * g))
     w = load_floats(weights, i) - floats(rate) * m / (root(s * floats(inverse)) + floats(epsilon))

@@ -43,6 +43,10 @@ def backward(  # type: ignore[no-untyped-def]
     d_rgb, d_depth, d_transmittance, d_weights, d_tau, d_sigma, d_colour, d_sky, first_ray, last_ray,
 ):  # fmt: skip
     """Fill d_sigma (m,), d_colour (m, 3) and d_sky (r, 3) from the losses' gradients (nerf.types.Gradients)."""
+    most = 0
+    for ray in range(first_ray, last_ray):
+        most = max(most, offsets[ray + 1] - offsets[ray])
+    depths = np.empty(most)  # added up once: what a wall adds cannot be taken off again
     for ray in range(first_ray, last_ray):
         end = float(transmittance[ray])
         opacity = 1.0 - end
@@ -57,6 +61,7 @@ def backward(  # type: ignore[no-untyped-def]
         optical = 0.0
         for k in range(first, offsets[ray + 1]):
             optical += float(sigma[k]) * dt_m[k]
+            depths[k - first] = optical
         behind = d_end * end
         for k in range(offsets[ray + 1] - 1, first - 1, -1):
             d_w = float(d_weights[k]) + per_moment * t[k] + per_opacity
@@ -64,8 +69,7 @@ def backward(  # type: ignore[no-untyped-def]
                 d_w += d_rgb[ray, c] * colour[k, c]
                 d_colour[k, c] = d_rgb[ray, c] * weights[k]
             # w = T (1 - exp(-tau)): its own tau adds T exp(-tau), every tau before takes w away
-            d_sigma[k] = dt_m[k] * (d_w * np.exp(-optical) - behind + d_tau[k])
-            optical -= float(sigma[k]) * dt_m[k]
+            d_sigma[k] = dt_m[k] * (d_w * np.exp(-depths[k - first]) - behind + d_tau[k])
             behind += d_w * weights[k]
 
 
@@ -172,7 +176,7 @@ def interlevel(  # type: ignore[no-untyped-def]
                 bound += coarse_weights[high]
                 high += 1
             over = weights[i] - bound
-            if over > 0.0:
+            if not over <= 0.0:  # NaN too
                 share = over / (weights[i] + INTERLEVEL_SOFT)
                 value += over * share
                 for j in range(low, high):

@@ -334,8 +334,8 @@ def pack(low, high):  # type: ignore[no-untyped-def]
 
 @compiled
 def exponential(x):  # type: ignore[no-untyped-def]
-    """Return e^x, relative error below 3e-7; x is clamped to [-87, 88]. Cody-Waite reduction, polynomial."""
-    x = smaller(larger(x, floats(-87.0)), floats(88.0))
+    """Return e^x, relative error below 3e-7; x is clamped to [-87, 88], NaN stays. Cody-Waite reduction, polynomial."""
+    x = smaller(floats(88.0), larger(floats(-87.0), x))
     turns = truncate(x * floats(1.44269504) + floats(256.5)) - ints(256)  # nearest integer
     n = to_floats(turns)
     r = fma(n, floats(2.12194440e-4), fma(n, floats(-0.693359375), x))

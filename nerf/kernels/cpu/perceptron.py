@@ -119,8 +119,8 @@ def _rectified(weights, tiles, pairs, x, out, groups, sums):  # type: ignore[no-
             for g in range(4):
                 place = (group + g) * step + tile * 128
                 for j in range(8):
-                    low = larger(load_floats(sums, g * TILE + 32 * j), zero)
-                    high = larger(load_floats(sums, g * TILE + 32 * j + 16), zero)
+                    low = larger(zero, load_floats(sums, g * TILE + 32 * j))  # NaN stays: the second is kept
+                    high = larger(zero, load_floats(sums, g * TILE + 32 * j + 16))
                     store(out, place + 16 * j, pack(low, high))
 
 
@@ -179,7 +179,7 @@ def _densities(weights, pairs, hidden, seen, groups, initial, sums, sigma, first
     for group in range(0, groups, 4):
         _multiply(weights, np.int64(0), pairs, np.int64(16), hidden, group, sums)
         for g in range(4):
-            logit = smaller(load_floats(sums, g * TILE), floats(12.0))  # LOGIT_MAX of the twin
+            logit = smaller(floats(12.0), load_floats(sums, g * TILE))  # LOGIT_MAX of the twin
             store(sigma, first + 16 * (group + g), exponential(logit) * floats(np.float32(initial)))
             for j in range(8):
                 low, high = load_floats(sums, g * TILE + 32 * j), load_floats(sums, g * TILE + 32 * j + 16)

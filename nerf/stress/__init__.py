@@ -1,0 +1,1 @@
+"""Stress: the numerical routines of fields on inputs at the limits of their numbers, and fits. `nerf stress`."""

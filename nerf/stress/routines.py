@@ -1,0 +1,12 @@
+"""All rows of `nerf stress`."""
+
+from nerf.stress import contraction, field, losses, rendering, sampling
+from priors.stress.routine import Routine
+
+ROUTINES: tuple[Routine, ...] = (
+    *contraction.ROUTINES,
+    *field.ROUTINES,
+    *rendering.ROUTINES,
+    *losses.ROUTINES,
+    *sampling.ROUTINES,
+)
