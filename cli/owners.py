@@ -24,11 +24,15 @@ def arguments_of(program: str) -> dict[str, type[Any]]:
 
 
 def commands_with(flag: str, command: str) -> list[str]:
-    """Return the commands that have a flag, those of the same program as `command` first, those that train last."""
-    first = f"{command.split()[0]} "
+    """Return the commands that have a flag, those of the same program as `command` first.
+
+    Those that train come last, but for a command that trains itself.
+    """
+    trains = command.startswith(TRAIN)
+    first = f"{TRAIN} " if trains else f"{command.split()[0]} "
     kinds = {name: kind for program in PROGRAMS for name, kind in arguments_of(program).items()}
     names = [name for name, kind in kinds.items() if flag in _flags(kind)]
-    if not command.startswith(TRAIN):
+    if not trains:
         names = list(dict.fromkeys(TRAIN if name.startswith(TRAIN) else name for name in names))
     return sorted(names, key=lambda name: (name == TRAIN, not name.startswith(first)))
 

@@ -5,6 +5,7 @@ and its size is rounded up to multiples of 32 (pad smaller pairs at the right an
 """
 
 import json
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -64,6 +65,8 @@ class NetworkConfig:
     def __post_init__(self) -> None:
         expect_between(1, self.max_disparity, LARGEST_SIDE, "--max-disparity")
         parse_size(self.image_size)
+        named = self.net is None or re.fullmatch(r"\w+-[sml]", self.net) is not None
+        expect(named, "--net", repr(self.net), "a network and its size, for example cfnet-s")
         expect(self.net is None or self.weights is None, "--net", self.net, "--net or --weights, not both")
 
 
