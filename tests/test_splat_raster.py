@@ -225,6 +225,23 @@ def test_a_pixel_that_is_finished_stays_as_it_is() -> None:
     assert float((1 - whole.opacity).min()) < 0.01
 
 
+def test_a_million_gaussians_are_finite_and_equal_the_twin_at_some_pixels() -> None:
+    gaussians, seen_from = cloud(1_000_000, size_m=0.004), viewpoint(40, 64, turned=False)
+    shown = cpu.rasterise(gaussians, seen_from, Drawing(degree=0))
+    back = cpu.backward(shown, wanted((40, 64)))
+    assert all(bool(torch.isfinite(x).all()) for x in (shown.rgb, *back.of.tensors().values(), back.twist))
+    projected = twin.project(gaussians, seen_from, Drawing(degree=0))
+    projected = projected.rows(shown.index)
+    projected = projected.rows(torch.sort(projected.z_m, stable=True).indices)
+    places = torch.tensor([[0, 0], [30, 20], [63, 39], [31, 3]])
+    blended = twin.blend(projected, places.float(), Drawing(degree=0))
+    rgb, depth_sum, opacity = twin.sums(projected, blended, Drawing(degree=0))
+    column, row = places.unbind(1)
+    near(shown.rgb[row, column], rgb, 1e-3, "rgb")
+    near(shown.depth_sum[row, column], depth_sum, 1e-3, "depth_sum")
+    near(shown.opacity[row, column], opacity, 1e-3, "opacity")
+
+
 def test_the_median_can_be_left_out() -> None:
     shown = cpu.rasterise(cloud(100), viewpoint(), Drawing(median=False))
     assert not shown.median_m.any() and cpu.rasterise(cloud(100), viewpoint(), Drawing()).median_m.any()
