@@ -107,7 +107,9 @@ def test_a_fit_stops_at_once_and_keeps_what_was_good(tmp_path: Path) -> None:
     assert all(np.isfinite(line["loss"]) for line in lines)
 
 
-@pytest.mark.parametrize("losses", [{"loss": "mse", "depth_weight": 1e38}, {"loss": "mse", "unit_m": 1e-25}])
+@pytest.mark.parametrize(
+    "losses", [{"loss": "mse", "depth_weight": 3e38, "unit_m": 0.1}, {"loss": "mse", "unit_m": 1e-25}]
+)
 def test_a_setting_that_overflows_never_leaves_a_bad_checkpoint(tmp_path: Path, losses: dict[str, Any]) -> None:
     name = next(name for name in losses if name != "loss")
     with pytest.raises(finite.NotFiniteError, match=f"--{name.replace('_', '-')} .*; nothing was kept"):

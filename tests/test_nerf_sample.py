@@ -317,8 +317,9 @@ def test_the_prior_spares_samples_of_the_rays_that_it_guides() -> None:
         return proposals.sample(batch, config, key, 1.0)[0].offsets.diff()
 
     assert counts((0, 1), proposed=30)[:120].max() == 10 and counts((0, 1), proposed=30)[120:].max() == 30
-    assert counts((0, 1), proposed=30, guide=False).max() == counts(None, proposed=30).max() == 30
-    assert counts((0, 1), proposed=None).max() == counts(None, proposed=None).max() == 10
+    assert counts((0, 1), proposed=30, guide=False).max() == 30
+    assert counts(None, proposed=30, render_proposed=12).max() == 12  # a rendered view knows no prior
+    assert counts((0, 1), proposed=None).max() == counts(None, proposed=None, render_proposed=None).max() == 10
 
 
 def test_resampling_goes_where_the_weight_is() -> None:
