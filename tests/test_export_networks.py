@@ -98,8 +98,10 @@ def test_a_size_that_is_none_is_refused(size: str) -> None:
 
 def test_a_network_that_is_none_is_refused(tmp_path: Path) -> None:
     for name in ("foo", "cfnet", "cfnet-xl", ""):
-        with pytest.raises(UsageError, match="choose one of bts-m, cfnet-s"):
-            networks.decide(NetworkConfig(net=name), None)
+        with pytest.raises(UsageError, match="a network and its size, for example cfnet-s"):
+            NetworkConfig(net=name)
+    with pytest.raises(UsageError, match="choose one of bts-m, cfnet-s"):
+        networks.decide(NetworkConfig(net="foo-s"), None)
     with pytest.raises(UsageError, match="name a network"):
         networks.decide(NetworkConfig(), None)
     with pytest.raises(DataError, match="no such file of weights"):

@@ -1,41 +1,49 @@
 """Your own images: a folder with left/, perhaps right/, and one calib.json.
 
-    left/<id>.png   right/<id>.png   calib.json   [depth/<id>.png   sparse/<id>.png   poses.txt]
+    left/<id>.png   right/<id>.png   calib.json
+    [depth/<id>.png   sparse/<id>.png   lidar/<id>.bin   calib/<id>.json   poses.txt]
 
 calib.json: {"fx": 721.5, "fy": 721.5, "cx": 609.6, "cy": 172.9, "baseline_m": 0.54}, in pixels and metres; both cameras
 share it; "baseline_m" is needed where there is right/; "width" and "height" are checked where they are given.
 The pair must be rectified and undistorted. "rig": "kitti" says that KITTI's car took the images: stereo then corrects
 the usual error of their rectification (docs/methods/stereo.md).
 
+"T_cam_lidar": 12 numbers, row by row, take a LiDAR's points to the left camera, in metres. lidar/ needs it, and
+completion fills maps in sparse/ better with it. calib/<id>.json has what differs at one frame, by the same keys.
+
 - Files are joined by their stem, the frame id.
 - depth/ is truth, sparse/ is completion's input: uint16 PNG (metres x 256), .npy, .npz or .pfm in metres, 0 = none.
+- lidar/ holds sweeps: .bin (float32 x y z reflectance) or .npy ((n, 3) or more columns, x y z first), metres, in the
+  LiDAR's frame at the image's time: motion within the sweep must be taken out already.
 - Numbers sort and join as numbers: 9 before 10, and 7.png with 000007.png.
 - poses.txt holds one T_world_cam of the left camera a line: 12 numbers, a row-major (3, 4), OpenCV axes, metres. A line
   may begin with the frame id; without ids there must be as many lines as left images, in their order.
   Lines that begin with # are comments.
 """
 
-from functools import cached_property
+from dataclasses import replace
+from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from priors.drives import CameraDrive, DriveOptions
-from priors.drives._files import (
-    IMAGE_SUFFIXES,
-    check_baseline,
-    first_size,
-    follow,
-    stems,
-)
-from priors.drives._rigs import RIGS
+from priors.drives import BY_FRAME, CameraDrive, DriveOptions
+from priors.drives._camera_drive import Files, Readers
+from priors.drives._files import IMAGE_SUFFIXES, first_size, follow, image_size, stems
+from priors.drives._folder_calibration import Calibration, calibration
+from priors.drives._points import only_points
+from priors.drives._velodyne import read_sweep_file
 from priors.errors import DataError
 from priors.frame_ids import joined
+from priors.geometry import invert
+from priors.motion import Trajectory
 from priors.poses import WITH_ID, by_id, parse_pose, read_pose_lines
 from priors.text import Line, read_json
-from priors.types import Camera, Matrix, Rig
+from priors.types import Camera, Matrix, Sweep
 
+SWEEP_SUFFIXES = (".bin", ".npy")
 MAP_SUFFIXES = (".png", ".npy", ".npz", ".pfm")
 MAPS = {"truth": "depth", "sparse": "sparse"}
 
@@ -69,12 +77,49 @@ class Folder(CameraDrive):
         self.others = joined(self.images, stems(follow(self.folder / partner), IMAGE_SUFFIXES))
         maps = {what: stems(follow(self.folder / name), MAP_SUFFIXES) for what, name in MAPS.items()}
         self.maps = {what: joined(self.images, paths) for what, paths in maps.items()}
-        self.camera, self.baseline_m, self.rig = self._read_calibration()
+        self._sweeps = joined(self.images, stems(follow(self.folder / "lidar"), SWEEP_SUFFIXES))
+        self._calibrations = joined(self.images, stems(follow(self.folder / "calib"), [".json"]))
+        self._values = read_json(self.folder / "calib.json")
+        self._shared, self._own = self._read_shared(), lru_cache(maxsize=None)(self._read_own)
+        self.camera, self.baseline_m, self.rig = (
+            self.camera_of(self.ids[0]),
+            self.baseline_of(self.ids[0]),
+            self._shared.rig,
+        )
 
     def sources(self) -> list[Path]:
         """List the files of calibration and poses."""
         poses = self.folder / "poses.txt"
-        return [self.folder / "calib.json", *([poses] if poses.is_file() else [])]
+        own = [self._calibrations[id_] for id_ in self.ids if id_ in self._calibrations]
+        return [self.folder / "calib.json", *own, *([poses] if poses.is_file() else [])]
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a manifest records: also that cameras differ by frame, where they do."""
+        return {**super().describe(), **({"cameras": BY_FRAME} if self._calibrations else {})}
+
+    def camera_of(self, id_: str) -> Camera:
+        """Return the frame's camera."""
+        return self._calibration(id_).camera
+
+    def baseline_of(self, id_: str) -> float | None:
+        """Return the baseline of the frame's pair, metres."""
+        return self._calibration(id_).baseline_m
+
+    def T_cam_lidar(self, id_: str) -> Matrix | None:
+        """Return where the LiDAR is at a frame; None where no calibration says it."""
+        T_left_lidar = self._calibration(id_).T_left_lidar
+        return None if T_left_lidar is None else invert(self._T_left_cam(id_)) @ T_left_lidar
+
+    def readers(self, id_: str) -> Readers:
+        """Return what can be read of a frame: also sweeps, where the LiDAR's place is known."""
+        readers = super().readers(id_)
+        if self._sweeps and self._calibration(id_).T_left_lidar is not None:
+            readers["sweep"] = lambda offset=0: self._sweep(id_, offset)
+        return readers
+
+    def files(self, id_: str) -> Files:
+        """Return which file each reader reads: also sweeps."""
+        return super().files(id_) | {"sweep": lambda offset=0: self._sweeps.get(self._beside(id_, offset) or "")}
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each kind of file has, for the audit."""
@@ -82,15 +127,19 @@ class Folder(CameraDrive):
             posed = list(self._pose_lines)
         except DataError:  # told of each frame
             posed = []
-        return {"other": list(self.others), "depth": list(self.maps["truth"]), "pose": posed}
+        kinds = {"other": list(self.others), "depth": list(self.maps["truth"]), "pose": posed}
+        return kinds | ({"sweep": list(self._sweeps)} if self._sweeps else {})
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
         maps = {what: f"{self.folder / name}: no map {id_} (.png, .npy, .npz or .pfm)" for what, name in MAPS.items()}
+        sweep = "this folder has no LiDAR: use stereo, completion of maps in sparse/, or put sweeps in lidar/"
+        if self._sweeps:
+            sweep = f"{self.folder / 'calib.json'}: no T_cam_lidar, so the sweeps in lidar/ cannot be placed: add it"
         return {
             **maps,
             "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras",
-            "sweep": "a folder of images has no LiDAR: use stereo, or completion of maps in sparse/",
+            "sweep": sweep,
         }
 
     def T_world_cam(self, id_: str) -> Matrix | None:
@@ -99,29 +148,62 @@ class Folder(CameraDrive):
             return None
         line = self._pose_lines[id_]
         T_world_left = parse_pose(line.text, f"{self.folder / 'poses.txt'}: line {line.number}")
-        T_left_cam = np.eye(4)
-        if self.side == "right" and self.baseline_m is not None:
-            T_left_cam[0, 3] = self.baseline_m
-        return T_world_left @ T_left_cam
+        return T_world_left @ self._T_left_cam(id_)
 
-    def _read_calibration(self) -> tuple[Camera, float | None, Rig | None]:
+    def _T_left_cam(self, id_: str) -> Matrix:
+        """Return where this camera is beside the left one."""
+        T_left_cam, baseline_m = np.eye(4), self.baseline_of(id_)
+        if self.side == "right" and baseline_m is not None:
+            T_left_cam[0, 3] = baseline_m
+        return T_left_cam
+
+    def _beside(self, id_: str, offset: int) -> str | None:
+        """Return the id of the frame `offset` images from a frame; None beyond the drive's ends."""
+        position = self._positions[id_] + offset
+        return self.ids[position] if 0 <= position < len(self.ids) else None
+
+    @cached_property
+    def _positions(self) -> dict[str, int]:
+        return {id_: position for position, id_ in enumerate(self.ids)}
+
+    def _sweep(self, id_: str, offset: int) -> Sweep | None:
+        """Read the sweep `offset` images from a frame; None where that one has none."""
+        beside = self._beside(id_, offset)
+        if beside is None or beside not in self._sweeps:
+            return None
+        return self._path.without_far_side(self._read_sweep(beside), id_, beside)
+
+    def _read_sweep(self, id_: str) -> Sweep:
+        T_world_cam, T_cam_lidar = self.T_world_cam(id_), self.T_cam_lidar(id_)
+        placed = None if T_world_cam is None or T_cam_lidar is None else T_world_cam @ T_cam_lidar
+        return Sweep(read_points(self._sweeps[id_]), placed)
+
+    @cached_property
+    def _path(self) -> Trajectory:
+        """The cameras' trajectory; lines that are no poses are left out."""
+        poses = {}
+        for position, id_ in enumerate(self.ids):
+            try:
+                T_world_cam = self.T_world_cam(id_)
+            except DataError:
+                continue  # it spoils its own frame only
+            if T_world_cam is not None:
+                poses[position] = T_world_cam
+        path = Trajectory.of_numbers(poses, {})
+        return replace(path, names=[self.ids[position] for position in sorted(poses)])
+
+    def _calibration(self, id_: str) -> Calibration:
+        """Return what calib.json and the frame's own file say."""
+        return self._own(id_) if id_ in self._calibrations else self._shared
+
+    def _read_shared(self) -> Calibration:
         path = self.folder / "calib.json"
-        data = read_json(path)
-        fx, fy, cx, cy = (_number(data, key, path) for key in ("fx", "fy", "cx", "cy"))
-        if fx <= 0 or fy <= 0:
-            raise DataError(f"{path}: fx and fy should be > 0 pixels, found {fx:g} and {fy:g}")
-        baseline_m = None
-        if self.others or "baseline_m" in data:
-            baseline_m = check_baseline(_number(data, "baseline_m", path), "baseline_m", path)
-        if "width" in data or "height" in data:
-            size = (int(_number(data, "height", path)), int(_number(data, "width", path)))
-        else:
-            size = first_size(self.images.values())
-        if not (0 < cx < size[1] - 1 and 0 < cy < size[0] - 1):
-            outside = f"the centre ({cx:g}, {cy:g}) lies outside the {size[1]}x{size[0]} images"
-            raise DataError(f"{path}: {outside}: was one of them resized?")
-        camera = Camera(np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1.0]]), size)
-        return camera, baseline_m, _rig(data.get("rig"), path)
+        return calibration(self._values, path, first_size(self.images.values()), bool(self.others))
+
+    def _read_own(self, id_: str) -> Calibration:
+        path = self._calibrations[id_]
+        values = self._values | read_json(path)
+        return calibration(values, path, image_size(self.images[id_]), id_ in self.others)
 
     @cached_property
     def _pose_lines(self) -> dict[str, Line]:
@@ -144,18 +226,15 @@ class Folder(CameraDrive):
         return joined(self.images, dict(zip(lefts, lines, strict=True)))
 
 
-def _rig(name: Any, path: Path) -> Rig | None:
-    """Return the rig that a calibration names; DataError where there is none of that name."""
-    if name is None:
-        return None
-    if not isinstance(name, str) or name not in RIGS:
-        raise DataError(f"{path}: rig {name!r} is not known: leave it out, or choose one of {', '.join(RIGS)}")
-    return RIGS[name]
-
-
-def _number(data: dict[str, Any], key: str, path: Path) -> float:
-    value = data.get(key)
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not np.isfinite(value):
-        instead = f"found {value!r}" if key in data else "it is missing"
-        raise DataError(f"{path}: {key} should be a number: {instead}: see docs/datasets.md")
-    return float(value)
+def read_points(path: Path) -> npt.NDArray[np.float32]:
+    """Read a sweep's points (n, 3), metres, of a .bin or .npy; DataError where it is none."""
+    if path.suffix == ".bin":
+        return read_sweep_file(path)
+    try:
+        table = np.load(path, allow_pickle=False)
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: cannot be read as a NumPy array ({error}): write it again by np.save") from error
+    if table.ndim != 2 or table.shape[1] < 3 or not np.issubdtype(table.dtype, np.floating):
+        raise DataError(f"{path}: expected floats (n, 3 or more), x y z in metres, found {table.dtype} {table.shape}")
+    xyz_m = np.ascontiguousarray(table[:, :3], dtype=np.float32)
+    return xyz_m[only_points(xyz_m, path, "x y z in metres")]
