@@ -4,8 +4,7 @@ The names that a program of yours needs first are here: `from nerf import begin,
 is asked for. Their types stand in `__init__.pyi`.
 """
 
-from importlib import import_module
-from typing import Any
+from priors.lazy import importer
 
 _HOMES = {
     "begin": "nerf.run",
@@ -14,13 +13,7 @@ _HOMES = {
     "SceneConfig": "nerf.prepare",
     "FitConfig": "nerf.config",
 }
-
-
-def __getattr__(name: str) -> Any:
-    """Import a name from its file."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+__getattr__ = importer(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:

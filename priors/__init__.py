@@ -5,8 +5,7 @@ when it is asked for, so that `import priors` stays quick and changes nothing of
 `__init__.pyi`.
 """
 
-from importlib import import_module
-from typing import Any
+from priors.lazy import importer
 
 _HOMES = {
     "open_drive": "priors.drives",
@@ -24,13 +23,7 @@ _HOMES = {
     "depth_html": "priors.draw.notebook",
     "DataError": "priors.errors",
 }
-
-
-def __getattr__(name: str) -> Any:
-    """Import a name from its file."""
-    if name not in _HOMES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module(_HOMES[name]), name)
+__getattr__ = importer(__name__, _HOMES)
 
 
 def __dir__() -> list[str]:

@@ -10,6 +10,7 @@ ROOT = Path(__file__).resolve().parents[1]
 ROOMS = [
     "eval",
     "priors/errors",
+    "priors/lazy",
     "priors/extensions",
     "priors/records",
     "priors/owner",

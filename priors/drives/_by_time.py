@@ -30,6 +30,15 @@ def nearest(times: Sequence[int], time: int, within: int) -> int | None:
     return None if best is None or abs(best - time) > within else best
 
 
+def beside(times: Sequence[int], time: int, within: int, offset: int) -> int | None:
+    """Return the time that lies `offset` places from the nearest of the sorted times; None where there is none."""
+    first = nearest(times, time, within)
+    if first is None:
+        return None
+    index = bisect_left(times, first) + offset
+    return times[index] if 0 <= index < len(times) else None
+
+
 def between(T_world_a: Matrix, T_world_b: Matrix, share: float) -> Matrix:
     """Return the pose (4, 4) a share of the way from one pose to another, turning about one axis."""
     T_a_b = invert(T_world_a) @ T_world_b

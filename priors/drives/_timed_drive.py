@@ -1,7 +1,6 @@
 """Drives whose sensors run at rates of their own: frames are images by time, and take the nearest sweep."""
 
 from abc import abstractmethod
-from bisect import bisect_left
 from collections.abc import Mapping
 from functools import cached_property, partial
 from pathlib import Path
@@ -9,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from priors.drives._by_time import nearest
+from priors.drives._by_time import beside, nearest
 from priors.drives._camera_drive import CameraDrive, Files, Readers
 from priors.drives._files import read_sized
 from priors.drives._rectified import RectifiedCamera
@@ -109,11 +108,7 @@ class TimedDrive(CameraDrive):
 
     def _sweep_time(self, time: int, offset: int) -> int | None:
         """Return the time of the sweep that lies `offset` sweeps from the one nearest to an image; None without one."""
-        first = nearest(self._sweep_times, time, self.near_sweep)
-        if first is None:
-            return None
-        index = bisect_left(self._sweep_times, first) + offset
-        return self._sweep_times[index] if 0 <= index < len(self._sweep_times) else None
+        return beside(self._sweep_times, time, self.near_sweep, offset)
 
     def _sweep_file(self, time: int, offset: int) -> Path | None:
         sweep = self._sweep_time(time, offset)

@@ -26,7 +26,7 @@ from pathlib import Path
 from priors import codecs
 from priors.drives import CameraDrive, DriveOptions
 from priors.drives._argoverse1_calibration import LogCalibration
-from priors.drives._by_time import between, by_time, nearest
+from priors.drives._by_time import beside, between, by_time, nearest
 from priors.drives._camera_drive import Files, Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
@@ -211,11 +211,7 @@ class Argoverse1(CameraDrive):
 
     def _sweep_time(self, time: int, offset: int) -> int | None:
         """Return the time of the sweep that lies `offset` sweeps from the one nearest to an image; None without one."""
-        first = nearest(self._sweep_times, time, NEAR_SWEEP_NS)
-        if first is None:
-            return None
-        index = bisect_left(self._sweep_times, first) + offset
-        return self._sweep_times[index] if 0 <= index < len(self._sweep_times) else None
+        return beside(self._sweep_times, time, NEAR_SWEEP_NS, offset)
 
     def _sweep_file(self, time: int, offset: int) -> Path | None:
         sweep = self._sweep_time(time, offset)
