@@ -12,7 +12,7 @@ INSTALL := -m pip install --quiet --disable-pip-version-check --constraint const
 PIP := $(BIN)/python $(INSTALL)
 
 .DEFAULT_GOAL := help
-.PHONY: help fix cov demo test modes slow browser site splats datasets stress parsers mesh lint types bench gpu gpu-pack clean
+.PHONY: help fix cov demo test modes slow browser site splats datasets stress networks parsers mesh lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -41,7 +41,7 @@ demo: $(VENV)/.installed  ## the whole story on the embedded street: four priors
 	@echo "open $(DEMO)/report.html in a browser"
 
 test: $(VENV)/.dev  ## the quick tests
-	$(BIN)/python -m pytest -m "not slow and not browser and not docs and not splats and not datasets and not stress"
+	$(BIN)/python -m pytest -m "not slow and not browser and not docs and not splats and not datasets and not stress and not networks and not cluster"
 
 $(PARSERS_VENV)/.installed: tests/parsers/requirements.txt
 	$(PYTHON) -m venv $(PARSERS_VENV)
@@ -53,7 +53,7 @@ parsers: $(PARSERS_VENV)/.installed  ## other programs' own parsers, in an envir
 datasets: export ROADPRIOR_PARSERS := $(abspath $(PARSERS_VENV))/bin/python
 datasets: $(PARSERS_VENV)/.installed
 
-splats datasets stress: $(VENV)/.dev  ## tests of one part each
+splats datasets stress networks: $(VENV)/.dev  ## tests of one part each
 	$(BIN)/python -m pytest -q -m "$@ and not slow"
 
 # What is compiled or chosen by the CPU's mode: fields, their fit, networks.
