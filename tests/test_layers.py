@@ -27,6 +27,8 @@ ROOMS = [
     "priors/geometry",
     "priors/origin",
     "priors/sky",
+    "priors/error_model",
+    "priors/fusion",
     "priors/draw",
     "priors/cache",
     "priors/keys",

@@ -9,9 +9,8 @@ from typing import Any
 from priors import cache
 from priors.build.decided import ENTRY
 from priors.build.plan import Judge, Plan, make_plan
-from priors.build.work import CLAIMS, Work, tidy
+from priors.build.work import CLAIMS, MadeOfMaps, Work, tidy
 from priors.cache import Prior
-from priors.cache.learned import ENTRY as ENTRY_LEARNED
 from priors.cache.learned import Freshness, WatchedDrive, keep
 from priors.cache.places import follow
 from priors.cache.sources import Digests
@@ -19,7 +18,7 @@ from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
 from priors.selection import Selection
-from priors.types import Drive, Method
+from priors.types import Depth, Drive, Frame, Method
 
 ALL = Selection()
 
@@ -47,6 +46,8 @@ class Job:
     method: Method
     filters: Filters
     prior: Prior
+    join: Callable[[Callable[[str], None]], MadeOfMaps] | None = None
+    """Opens what makes a frame's map of others in the cache, told whom to tell notes; None: the method makes it."""
     distrust: bool = False
     """Whether maps count only after they were read: the folder's manifest was damaged or missing."""
 
@@ -95,16 +96,20 @@ class Job:
         for note in self.method.notes():
             on_note(note)
         with threads.limited(threads.count()):
-            work = self._work(on_frame, on_note)
+            work = self.begin(on_frame, on_note)
             work.do(plan.todo, workers, on_note)
         built = sorted(work.built, key=lambda line: str(line["id"]))
         return BuildReport(self.prior, plan, built, {**plan.failed, **work.failed}, sorted(work.left))
 
-    def _work(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
+    def begin(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
         watched = WatchedDrive(self.drive)
-        make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
-        learned = keep(self.prior.folder, watched.sources(self.judge.freshness.digests))
+        if self.join is not None:
+            make_depth: Callable[[Frame], Depth] = self.join(on_note)
+        else:
+            make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
+        learned = watched.sources(self.judge.freshness.digests)
+        keep(self.prior.folder, learned)
         cache.create(self.prior.folder, self.prior.manifest)
         follow(self.prior)
         self.prior.drop_stale()
@@ -114,7 +119,7 @@ class Job:
             self.judge,
             lambda frame: self.filters(make_depth(frame), frame),
             on_frame,
-            {} if learned is None else {ENTRY_LEARNED: learned},
+            lambda frame_id: learned | (make_depth.read_for(frame_id) if isinstance(make_depth, MadeOfMaps) else {}),
         )
 
     def _restamp(self, plan: Plan) -> None:

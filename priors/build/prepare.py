@@ -1,5 +1,6 @@
 """Prepare: every 'auto' is decided and the prior's place in the cache is found; no map is made."""
 
+from functools import partial
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -8,6 +9,7 @@ from typing import Any
 from priors import cache, keys
 from priors.build.decided import ENTRY, decide
 from priors.build.job import Job
+from priors.build.temporal import Joined, expect_poses, record_of
 from priors.cache import Prior
 from priors.cache.manifest import NewerFormatError
 from priors.errors import DataError
@@ -17,7 +19,9 @@ from priors.sky import VERSION as SKY_VERSION
 from priors.types import Drive, Frame, Input, Method
 
 
-def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder: Path = Path("cache")) -> Job:
+def prepare(
+    drive: Drive, method: Method, filters: Filters | None = None, folder: Path = Path("cache"), temporal: int = 0
+) -> Job:
     """Decide every 'auto' and find the prior's place in the cache; no map is made.
 
     Args:
@@ -25,9 +29,10 @@ def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder
         method: how; 'auto' is decided on the drive's first frame.
         filters: what to leave out of the maps; default: nothing.
         folder: the cache.
+        temporal: join each map with those of so many frames before and after it (priors/fusion/moments.py).
 
     Raises:
-        DataError: no frame can be opened, a name cannot be a file's, or a later version of roadprior made the prior.
+        DataError: no frame can be opened, the drive has no poses to join maps by, a name cannot be a file's, or a later version of roadprior made the prior.
     """
     filters = filters or Filters()
     _check_names(drive)
@@ -36,14 +41,20 @@ def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder
     fingerprint = drive.fingerprint()
     method, decided = decide(method, frame, home, fingerprint)
     manifest = _manifest(drive, frame, method, filters) | {"fingerprint": fingerprint}
+    join = None
+    if temporal:
+        expect_poses(drive, frame)
+        manifest["filters"] = {**record_of(temporal), **manifest["filters"]}
+        alone = prepare(drive, method, None, folder)
+        join = partial(Joined.open, alone, temporal)
     if decided is not None:
         manifest[ENTRY] = decided
     earlier = keys.find(home, manifest, type(method))
     if earlier is not None:
-        return Job(drive, method, filters, Prior(earlier.folder, {**manifest, "key": earlier.manifest["key"]}))
+        return Job(drive, method, filters, Prior(earlier.folder, {**manifest, "key": earlier.manifest["key"]}), join)
     key = keys.key(manifest, type(method))
     prior = Prior(home / f"{method.name}-{key}", {**manifest, "key": key})
-    return Job(drive, method, filters, prior, distrust=_has_lost_manifest(prior))
+    return Job(drive, method, filters, prior, join, distrust=_has_lost_manifest(prior))
 
 
 def _manifest(drive: Drive, frame: Frame, method: Method, filters: Filters) -> dict[str, Any]:

@@ -11,11 +11,12 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from priors.build.plan import CACHED, Judge
 from priors.cache import Prior
-from priors.cache.sources import Sources, watch
+from priors.cache.learned import ENTRY, DriveSources, keep
+from priors.cache.sources import watch
 from priors.errors import DataError
 from priors.owner import claim
 from priors.types import Depth, Drive, Frame
@@ -24,6 +25,19 @@ LOG = logging.getLogger(__name__)
 CLAIMS = "claims"
 POLL_S = 0.3
 """How often to look whether another build has finished a frame."""
+
+
+@runtime_checkable
+class MadeOfMaps(Protocol):
+    """What makes a frame's depth of other maps in the cache."""
+
+    def __call__(self, frame: Frame) -> Depth:
+        """Make the frame's depth map."""
+        ...
+
+    def read_for(self, frame_id: str) -> DriveSources:
+        """Return the files, by frame, that the maps were made of which a frame's map was made of."""
+        ...
 
 
 @dataclass
@@ -37,8 +51,9 @@ class Work:
     """The method, and the filters after it."""
     on_frame: Callable[[str], None]
     """Told the id of each frame when it is done or has failed."""
-    learned: Sources = field(default_factory=dict)
-    """What the method learned from the whole drive, for the record of each map."""
+    read_before: Callable[[str], DriveSources] = lambda frame_id: {}
+    """Which files of any frame decided a frame's map besides those that were read for it: what the method learned from
+    the drive, or what the maps were made of that it was made of."""
     built: list[dict[str, Any]] = field(default_factory=list)
     """The new lines of frames.jsonl."""
     failed: dict[str, str] = field(default_factory=dict)
@@ -92,7 +107,8 @@ class Work:
         depth = self.make_depth(watched.frame)
         seconds = time.perf_counter() - start
         LOG.info("frame %s: %.3f s", frame.id, seconds)
-        sources = watched.sources(self.judge.freshness.digests) | self.learned
+        learned = keep(self.prior.folder, self.read_before(frame.id))
+        sources = watched.sources(self.judge.freshness.digests) | ({} if learned is None else {ENTRY: learned})
         self.built.append(self.prior.write(frame.id, depth, seconds, sources))
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from eval.calibration import Tolerance
 from priors.codecs import FARTHEST_M
+from priors.error_model import PIXEL, WITHIN, chance_of, spread_of
 from priors.errors import UsageError, expect, expect_between, expect_choices
 from priors.machine import threads
 from priors.methods import _stereo_classical as classical
@@ -151,10 +152,14 @@ class Stereo(Method):
         np.maximum(disparity_px, least_px, out=disparity_px)
         depth_m = np.where(matched, np.float32(fx_baseline) / disparity_px, np.float32(0))
         if self.network is None:
+            spread = trust / disparity_px
             trust = classical.probability(disparity_px, trust, fx_baseline)
         else:
             matched &= ~beyond  # the disparity of the sky may be right, but its depth is not known
-        return doubt(Depth(depth_m, np.where(matched, trust, np.float32(0))), pair.restore(sky))
+            spread = spread_of(depth_m, trust, PIXEL, fx_baseline)
+        relative = chance_of(depth_m, spread, WITHIN)
+        trust, relative = (np.where(matched, chance, np.float32(0)) for chance in (trust, relative))
+        return doubt(Depth(depth_m, trust, within_5_percent=relative), pair.restore(sky))
 
     def _match_ground(self, pair: Pair, rows: slice, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
         """Match these rows of a pair; the others have no disparity. Returns what `_match` does, (height, width)."""
