@@ -47,13 +47,12 @@ def log_differences(here: View, there: View) -> Flat:
     """Return |ln(z_warped / z)| (n,) of the points that both frames see, and for which the prior has both values."""
     T = np.linalg.inv(there.T_world_cam) @ here.T_world_cam
     rows, columns = np.nonzero(has_value(here.truth_m) & has_value(here.depth_m))
-    rays = np.stack([columns, rows, np.ones(len(rows))]).astype(np.float64)
-    rays = np.linalg.solve(here.K, rays)
+    pixels = np.stack([columns, rows, np.ones(len(rows))]).astype(np.float64)
+    rays = np.linalg.solve(here.K, pixels)
     true = _move(T, rays * here.truth_m[rows, columns])
     own = _move(T, rays * here.depth_m[rows, columns])
     true, own = (points[:, (true[2] > 0) & (own[2] > 0)] for points in (true, own))
-    pixels = there.K @ true
-    u, v = pixels[0] / pixels[2], pixels[1] / pixels[2]
+    u, v = (there.K @ true)[:2] / true[2]
     height, width = there.truth_m.shape
     inside = (u >= 0) & (v >= 0) & (u <= width - 1) & (v <= height - 1)
     u, v, true_m, own_m = u[inside], v[inside], true[2, inside], own[2, inside]

@@ -39,9 +39,7 @@ def share_allowed(depth_m: FloatMap, within: Tolerance, fx_baseline: float | Non
     return np.divide(amount, depth_m, out=np.zeros_like(depth_m), where=depth_m > 0)
 
 
-def spread_of(
-    depth_m: FloatMap, chance: FloatMap, within: Tolerance, fx_baseline: float | None = None
-) -> FloatMap:
+def spread_of(depth_m: FloatMap, chance: FloatMap, within: Tolerance, fx_baseline: float | None = None) -> FloatMap:
     """Return the mean relative error (height, width) to expect where `chance` is the probability of `within`.
 
     It is MOST where there is no value, or the chance is 0.
@@ -52,9 +50,7 @@ def spread_of(
     return np.clip(spread, np.float32(LEAST), np.float32(MOST), out=spread)
 
 
-def chance_of(
-    depth_m: FloatMap, spread: FloatMap, within: Tolerance, fx_baseline: float | None = None
-) -> FloatMap:
+def chance_of(depth_m: FloatMap, spread: FloatMap, within: Tolerance, fx_baseline: float | None = None) -> FloatMap:
     """Return the probability (height, width) of a relative error within a tolerance; 0 where there is no value."""
     allowed = share_allowed(depth_m, within, fx_baseline)
     chance = -np.expm1(-allowed / np.maximum(spread, np.float32(LEAST)))

@@ -32,7 +32,8 @@ def prepare(
         temporal: join each map with those of so many frames before and after it (priors/fusion/moments.py).
 
     Raises:
-        DataError: no frame can be opened, the drive has no poses to join maps by, a name cannot be a file's, or a later version of roadprior made the prior.
+        DataError: no frame can be opened, the drive has no poses to join maps by, a name cannot be a file's,
+            or a later version of roadprior made the prior.
     """
     filters = filters or Filters()
     _check_names(drive)

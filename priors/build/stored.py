@@ -8,7 +8,7 @@ import json
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -16,8 +16,9 @@ from priors.build.job import Job
 from priors.build.plan import CACHED
 from priors.build.work import Work
 from priors.cache.learned import ENTRY, FOLDER, DriveSources
+from priors.error_model import within_5_percent
 from priors.errors import DataError
-from priors.types import Depth
+from priors.types import Depth, Frame
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,15 @@ class StoredMaps:
                 raise DataError(f"frame {frame_id}: {self.job.method.name}: {verdict.skip}")
             if verdict.skip is None:
                 self._make(index, frame_id)
-            return self.job.prior.read(frame_id)
+            return self._with_5_percent(self.job.prior.read(frame_id), self.job.drive[index])
+
+    def _with_5_percent(self, depth: Depth, frame: Frame) -> Depth:
+        """Add the probability of 5 % to a map of the time before maps had it, where its confidence tells."""
+        within = self.job.method.sure_within
+        if depth.within_5_percent is not None or depth.confidence is None or within is None:
+            return depth
+        fx_baseline = None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
+        return replace(depth, within_5_percent=within_5_percent(depth, within, fx_baseline))
 
     def read_for(self, frame_id: str) -> DriveSources:
         """Return the files, by frame, that a frame's map was made of; none where they are not known."""

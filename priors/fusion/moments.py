@@ -37,7 +37,7 @@ ROUNDS = 2
 DRIFT_WINDOW_PX = 9
 DRIFT = 0.5
 """What drifts by more than this share of the camera's step a frame has moved."""
-CLEAR = 2.0
+CLEAR = 1.0
 """Standard errors that a drift is above."""
 Stack = npt.NDArray[np.float32]
 
@@ -117,7 +117,8 @@ def pixel_motion(one: Moment, other: Moment) -> Matrix:
 def _step_m(own: Moment, others: Sequence[Moment]) -> float:
     """Return how far the camera goes from frame to frame, metres."""
     steps_m = [
-        np.linalg.norm(other.T_world_cam[:3, 3] - own.T_world_cam[:3, 3]) / max(1, abs(other.offset)) for other in others
+        np.linalg.norm(other.T_world_cam[:3, 3] - own.T_world_cam[:3, 3]) / max(1, abs(other.offset))
+        for other in others
     ]
     return float(np.mean(steps_m))
 
@@ -131,12 +132,12 @@ def _drifts(depth_m: FloatMap, asked: Sequence[_Asked], step_m: float) -> Mask:
     top, below, count, weight = (np.zeros_like(depth_m) for _ in range(4))
     for each in asked:
         agrees = (each.weight > 0).astype(np.float32)
-        top += each.offset * each.log_ratio
-        below += each.offset**2 * agrees
+        top += np.float32(each.offset) * each.log_ratio
+        below += np.float32(each.offset**2) * agrees
         count += agrees
         weight += each.weight
     window = (DRIFT_WINDOW_PX, DRIFT_WINDOW_PX)
-    top, below, count, weight = (cv2.blur(values, window) for values in (top, below, count, weight))
+    top, below, count, weight = (np.asarray(cv2.blur(v, window), np.float32) for v in (top, below, count, weight))
     slope = np.abs(np.divide(top, below, out=np.zeros_like(top), where=below > 0))
     error = np.sqrt(np.divide(count, below * weight, out=np.zeros_like(top), where=(below > 0) & (weight > 0)))
     return np.asarray((slope * depth_m > DRIFT * step_m) & (slope > CLEAR * error))

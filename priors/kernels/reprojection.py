@@ -1,4 +1,4 @@
-"""Neighbouring frames' maps looked up along a frame's rays; the slow twin is in tests/reference/reprojection.py."""
+"""Neighbouring frames' maps looked up along a frame's rays; its slow twin is in tests/test_fusion.py."""
 
 import numpy as np
 import numpy.typing as npt
@@ -32,7 +32,7 @@ def look_up(
             has none to give.
         place: written: the index of the other map's pixel that was looked at; -1 where there is none.
     """
-    height, width = depth_m.shape
+    width = depth_m.shape[1]
     rows, columns = other_m.shape
     for row in range(first, last):
         for column in range(width):
