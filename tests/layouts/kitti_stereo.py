@@ -45,7 +45,8 @@ def write_2015(root: Path, calibration: str = "calib_cam_to_cam", sweeps: bool =
     for index, size in SIZES.items():
         path = split / calibration / f"{index}.txt"
         path.parent.mkdir(parents=True, exist_ok=True)
-        text = "calib_time: 09-Jan-2012 13:57:47\n" + row("R_rect_00", np.eye(3)) + row("S_rect_02", size[::-1]) + row("S_rect_03", size[::-1])
+        text = "calib_time: 09-Jan-2012 13:57:47\n" + row("R_rect_00", np.eye(3))
+        text += row("S_rect_02", size[::-1]) + row("S_rect_03", size[::-1])
         for camera, offset_m in (("02", 0.06), ("03", 0.06 - BASELINE_M)):
             text += row(f"P_rect_{camera}", projection(index, offset_m))
         path.write_text(text)
