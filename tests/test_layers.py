@@ -47,6 +47,7 @@ ROOMS = [
     "priors/check",
     "priors/imported",
     "priors/naming",
+    "priors/flicker",
     "priors/score",
     "priors/report",
     "priors/view",
