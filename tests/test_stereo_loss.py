@@ -25,7 +25,7 @@ def coarser_by_loops(truth: np.ndarray, weight: np.ndarray, step: int) -> tuple[
     values, sure = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
     for b, row, column in np.ndindex(shape):
         window = np.s_[b, row * step : (row + 1) * step, column * step : (column + 1) * step]
-        best = max(np.ndindex(step, step), key=lambda at: (weight[window][at], -away(at, step)))  # noqa: B023
+        best = max(np.ndindex(step, step), key=lambda at: (weight[window][at], -away(at, step)))
         values[b, row, column], sure[b, row, column] = truth[window][best], weight[window][best]
     return values, sure
 
@@ -37,7 +37,7 @@ def test_a_cell_has_the_truth_of_its_best_known_pixel(seed: int, step: int, shar
     truth = rng.uniform(1, 90, (2, 16, 24)).astype(np.float32)
     weight = (rng.choice([0.2, 1.0], truth.shape) * (rng.random(truth.shape) < share)).astype(np.float32)
     values, sure = coarser(torch.from_numpy(truth), torch.from_numpy(weight), step)
-    expected, expected_sure = coarser_by_loops(truth, weight, step)
+    _, expected_sure = coarser_by_loops(truth, weight, step)
     assert np.array_equal(sure.numpy(), expected_sure)
     known = expected_sure > 0
     # Pixels of one weight that are equally far from the middle are as good as each other.
