@@ -1,7 +1,6 @@
 """Accumulated LiDAR of real drives: the truth of a frame, and what is made of several sweeps, as users have it.
 
-The truth is what nine sweeps saw, placed by the drive's poses or by odometry and cleaned. Sweeps of frames that are
-held back (priors/held_back.py) take part in nothing.
+The truth is what nine sweeps saw, placed by the drive's poses, or by odometry where it has none, and cleaned.
 """
 
 from collections.abc import Callable
@@ -31,23 +30,11 @@ def scenes_of(frames: list[Frame], source: str) -> list[LidarScene]:
     """Make scenes of a drive's frames that follow each other; DataError where one has no sweep.
 
     Args:
-        frames: consecutive frames; those around them are not looked at.
+        frames: consecutive frames; without poses, those around them are not looked at.
         source: what the drive is called in figures.
     """
-    placed = _alone(frames) if all(frame.T_world_cam is not None for frame in frames) else _pose(frames)
+    placed = frames if all(frame.T_world_cam is not None for frame in frames) else _pose(frames)
     return [_accumulate(frame, source) for frame in placed]
-
-
-def _alone(frames: list[Frame]) -> list[Frame]:
-    """Give frames no neighbours but each other."""
-
-    def reader(at: int) -> Callable[[int], Sweep | None]:
-        def read(offset: int = 0) -> Sweep | None:
-            return frames[at].sweep(offset) if 0 <= at + offset < len(frames) else None
-
-        return read
-
-    return [replace(frame, readers={**frame.readers, "sweep": reader(at)}) for at, frame in enumerate(frames)]
 
 
 def _pose(frames: list[Frame]) -> list[Frame]:

@@ -8,7 +8,8 @@ import numpy.typing as npt
 
 from priors.geometry import rays
 from priors.learn.accumulated_lidar import INPUTS
-from priors.learn.lidar_scene import BENCHMARK, TRUTH_REACH_M, LidarScene, Points, splat
+from priors.learn.lidar_scene import TRUTH_REACH_M, LidarScene, Points, splat
+from priors.learn.real_truth import KITTI2015
 from priors.learn.scan_lines import met
 from priors.methods.lidar import hidden
 from priors.types import FloatMap, Mask, Matrix
@@ -71,7 +72,8 @@ def drop_points(scene: LidarScene, rng: np.random.Generator, density: Density | 
     sparse_m, truth_m = splat(points_m[kept], scene.camera), scene.truth_m
     if scene.real:
         unseen_m = np.where(sparse_m > 0, np.float32(0), own_m(scene))
-        truth_m = np.where((unseen_m > 0) & (scene.source != BENCHMARK), unseen_m, truth_m)
+        official = scene.source == KITTI2015  # what its makers cleaned away is no truth
+        truth_m = truth_m if official else np.where(unseen_m > 0, unseen_m, truth_m)
     return _example(scene, sparse_m, truth_m, scene.T_cam_lidar)
 
 

@@ -20,8 +20,6 @@ from priors.types import Camera, FloatMap, Image, Mask, Matrix
 Points = npt.NDArray[np.float32]
 TRUTH_REACH_M = 90.0
 """Truth beyond this teaches nothing: no LiDAR sample is ever there."""
-BENCHMARK = "kitti2015"
-"""The source whose truth is a benchmark's: cleaned, so own points that it lacks are no truth."""
 NEAREST_M = 0.1
 """Points nearer than this to the camera's plane are outside its image."""
 
