@@ -50,7 +50,7 @@ KNOWN = {
     "encoding": "kitti",
 }
 PINNED = {
-    "completion": "fde16c71ce",
+    "completion": "673932937f",
     "fused": "81e357418f",
     "lidar": "b9b776c9ee",
     "mono": "e41162b31d",
