@@ -2,7 +2,8 @@
 
     priors train stereo runs/cfnet-s --street samples/          stops and goes on at any time
 
-The loss: absolute error of every stage's disparity, cross-entropy of every stage's matching distribution (so that its
+The loss: absolute error of every stage's disparity, and of the last one's logarithm (a near surface that becomes sky is
+a small error in pixels and a large one in metres), cross-entropy of every stage's matching distribution (so that its
 spread is what the error is: the next stage's range and the confidence rest on it), and of the confidence.
 """
 
@@ -27,8 +28,14 @@ from priors.types import FloatMap, Image
 LARGEST_PX = 192
 SHARP_PX = 0.25
 """Errors below this are squared."""
+TIE = 1e-3
+"""Of a pixel's weight, what the middle of a cell is ahead of its corner."""
+VALIDATED = 0.3
+"""Labels of less weight are not validated on."""
 SKY_WEIGHT = 0.1
 """Of a pixel of the sky, whose disparity is 0: what stands before it is pulled away with it, to hundreds of metres."""
+LOG_WEIGHT, LOG_FROM_PX = 2.0, 0.5
+"""Of the error of log(disparity + LOG_FROM_PX)."""
 STAGE_WEIGHTS = (0.1, 0.3, 0.5)
 SPREAD_WEIGHT, DOUBT_WEIGHT = 0.3, 0.2
 SCHEDULE = (2500, 3300)
@@ -71,10 +78,13 @@ class StereoTask:
         weight = weight * (truth < LARGEST_PX) * (1 - (1 - SKY_WEIGHT) * batch["sky"])
         error = (out.disparity_px - truth).abs()
         total = masked_mean(soft(error), weight) if stages == 3 else error.new_zeros(())
+        if stages == 3:
+            ratio = (out.disparity_px.clamp(min=0) + LOG_FROM_PX).log() - (truth + LOG_FROM_PX).log()
+            total = total + LOG_WEIGHT * masked_mean(ratio.abs(), weight)
         spread = total.new_zeros(())
         for stage, share in zip(out.stages, STAGE_WEIGHTS, strict=False):
             step = truth.shape[-1] // stage.disparity_px.shape[-1]
-            target, sure = (values[:, step // 2 :: step, step // 2 :: step] for values in (truth, weight))
+            target, sure = coarser(truth, weight, step)
             total = total + share * masked_mean(soft(step * stage.disparity_px - target), sure)
             spread = spread + cross_entropy(stage, target / step, sure)
         total = total + SPREAD_WEIGHT * spread
@@ -89,7 +99,7 @@ class StereoTask:
         by_source: dict[str, list[tuple[float, float, float]]] = {}
         for pair in self._held_back:
             error, truth = predict(net, pair)[0] - pair.disparity_px, pair.disparity_px
-            sure = pair.known & ~pair.sky & (truth < LARGEST_PX)
+            sure = (pair.weight > VALIDATED) & ~pair.sky & (truth < LARGEST_PX)
             error, truth = np.abs(error[sure]), truth[sure]
             wrong = (error > 3) & (error > 0.05 * truth)
             by_source.setdefault(pair.source, []).append((error.mean(), wrong.mean(), (error > 1).mean()))
@@ -122,6 +132,20 @@ def predict(net: nn.Module, pair: StereoPair) -> tuple[FloatMap, FloatMap]:
     with torch.inference_mode(), torch.autocast(device.type, torch.bfloat16):
         out: StereoOut = net(*views, LARGEST_PX)
     return out.disparity_px[0].float().cpu().numpy(), out.doubt[0].float().cpu().numpy()
+
+
+def coarser(truth_px: Tensor, weight: Tensor, step: int) -> tuple[Tensor, Tensor]:
+    """Return truth and weight (b, h / step, w / step) as one pixel of each cell of step x step has them.
+
+    It is the pixel of the greatest weight, of equal ones the nearest to the middle: real truth is known on a fifth of
+    the pixels, and most middles have none.
+    """
+    away = (torch.arange(step, device=weight.device) - step // 2).square().float()
+    nearness = 1 - (away[:, None] + away) / (2 * step**2)
+    rows, columns = (weight.shape[side] // step for side in (-2, -1))
+    order = weight + TIE * nearness.repeat(rows, columns)
+    _, index = F.max_pool2d(order[:, None], step, return_indices=True)
+    return tuple(map_.flatten(1).gather(1, index.flatten(1)).view(-1, rows, columns) for map_ in (truth_px, weight))  # type: ignore[return-value]
 
 
 def soft(error: Tensor) -> Tensor:
