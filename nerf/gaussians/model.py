@@ -196,8 +196,9 @@ class SplatModel:
 
 
 def _for_fewer(rules: LossConfig, share: float) -> LossConfig:
-    """Return losses whose pull by the prior is the same over all steps, where only a share of them knows the prior."""
-    return replace(rules, depth_weight=rules.depth_weight / share)
+    """Return losses whose pull by prior and sky is the same over all steps, where only a share of them knows either."""
+    weights = {name: getattr(rules, name) / share for name in ("depth_weight", "opacity", "sky_opacity")}
+    return replace(rules, **weights)
 
 
 def _sized(name: str, saved: dict[str, Tensor], like: Tensor, count: int) -> Tensor:
