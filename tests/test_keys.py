@@ -51,7 +51,7 @@ KNOWN = {
 }
 PINNED = {
     "completion": "673932937f",
-    "fused": "81e357418f",
+    "fused": "216eeb3f3e",
     "lidar": "b9b776c9ee",
     "mono": "e41162b31d",
     "stereo": "40ad1de7c7",

@@ -9,12 +9,8 @@ import numpy as np
 
 from eval.calibration import Tolerance
 from priors.codecs import FARTHEST_M
-<<<<<<< HEAD
 from priors.error_model import PIXEL, WITHIN, chance_of, spread_of
-from priors.errors import UsageError, expect, expect_between, expect_choices
-=======
 from priors.errors import DataError, UsageError, expect, expect_between, expect_choices
->>>>>>> main
 from priors.machine import threads
 from priors.methods import _stereo_choice
 from priors.methods import _stereo_classical as classical
