@@ -86,7 +86,7 @@ def _has_lost_manifest(prior: Prior) -> bool:
 
 def _first_readable(drive: Drive) -> Frame:
     """Return the first frame that can be opened; the last error where none can."""
-    reason = DataError(f"{drive.name}: no frames")
+    reason = DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
     for index in range(len(drive)):
         try:
             return drive[index]
