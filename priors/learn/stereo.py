@@ -2,7 +2,8 @@
 
     priors train stereo runs/cfnet-s --street samples/          stops and goes on at any time
 
-The loss: absolute error of every stage's disparity, cross-entropy of every stage's matching distribution (so that its
+The loss: absolute error of every stage's disparity, and of the last one's logarithm (a near surface that becomes sky is
+a small error in pixels and a large one in metres), cross-entropy of every stage's matching distribution (so that its
 spread is what the error is: the next stage's range and the confidence rest on it), and of the confidence.
 """
 
@@ -27,8 +28,12 @@ from priors.types import FloatMap, Image
 LARGEST_PX = 192
 SHARP_PX = 0.25
 """Errors below this are squared."""
+VALIDATED = 0.3
+"""Labels of less weight are not validated on."""
 SKY_WEIGHT = 0.1
 """Of a pixel of the sky, whose disparity is 0: what stands before it is pulled away with it, to hundreds of metres."""
+LOG_WEIGHT, LOG_FROM_PX = 2.0, 0.5
+"""Of the error of log(disparity + LOG_FROM_PX)."""
 STAGE_WEIGHTS = (0.1, 0.3, 0.5)
 SPREAD_WEIGHT, DOUBT_WEIGHT = 0.3, 0.2
 SCHEDULE = (2500, 3300)
@@ -71,6 +76,9 @@ class StereoTask:
         weight = weight * (truth < LARGEST_PX) * (1 - (1 - SKY_WEIGHT) * batch["sky"])
         error = (out.disparity_px - truth).abs()
         total = masked_mean(soft(error), weight) if stages == 3 else error.new_zeros(())
+        if stages == 3:
+            ratio = (out.disparity_px.clamp(min=0) + LOG_FROM_PX).log() - (truth + LOG_FROM_PX).log()
+            total = total + LOG_WEIGHT * masked_mean(ratio.abs(), weight)
         spread = total.new_zeros(())
         for stage, share in zip(out.stages, STAGE_WEIGHTS, strict=False):
             step = truth.shape[-1] // stage.disparity_px.shape[-1]
@@ -89,7 +97,7 @@ class StereoTask:
         by_source: dict[str, list[tuple[float, float, float]]] = {}
         for pair in self._held_back:
             error, truth = predict(net, pair)[0] - pair.disparity_px, pair.disparity_px
-            sure = pair.known & ~pair.sky & (truth < LARGEST_PX)
+            sure = (pair.weight > VALIDATED) & ~pair.sky & (truth < LARGEST_PX)
             error, truth = np.abs(error[sure]), truth[sure]
             wrong = (error > 3) & (error > 0.05 * truth)
             by_source.setdefault(pair.source, []).append((error.mean(), wrong.mean(), (error > 1).mean()))
