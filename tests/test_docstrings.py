@@ -17,7 +17,16 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("priors", "nerf", "eval", "cli")
 FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9.-]*[a-z0-9])")
 COMMAND = re.compile(r"`(priors|nerf) ([a-z]+)")
-OTHERS = {"help", "version", logs.VERBOSE.strip("-"), logs.DEBUG.strip("-"), "nproc-per-node", "upgrade", "outer.inner", "no-name"}
+OTHERS = {
+    "help",
+    "version",
+    logs.VERBOSE.strip("-"),
+    logs.DEBUG.strip("-"),
+    "nproc-per-node",
+    "upgrade",
+    "outer.inner",
+    "no-name",
+}
 """Flags of no command's dataclass: those of all commands, torchrun's, pip's, and stand-ins for any flag."""
 
 
