@@ -13,7 +13,7 @@ from priors.codecs import as_grey
 from priors.geometry import invert
 from priors.methods import _stereo_classical as classical
 from priors.pairs.matching import half_match, halve
-from priors.pairs.read import Pair, read_pair
+from priors.pairs.read import Pair
 from priors.pairs.rectification import RectificationError
 from priors.pairs.smoothing import diffuse
 from priors.types import Depth, Earlier, FloatMap, Frame, Mask, Matrix
@@ -43,11 +43,12 @@ class Merged:
     """Share of matches in what was averaged, [0, 1]."""
 
 
-def carry_on(frame: Frame, before: Earlier, error: RectificationError, fx_baseline: float) -> Depth | None:
+def carry_on(frame: Frame, pair: Pair, before: Earlier, error: RectificationError, fx_baseline: float) -> Depth | None:
     """Return a frame's map made of the frame's before; None where it must be made whole.
 
     Args:
-        frame: the frame, with a pose and a pair.
+        frame: the frame.
+        pair: its pair, rows matching.
         before: the frame before and its map.
         error: what matched disparities are corrected by.
         fx_baseline: focal length times baseline, px m.
@@ -55,7 +56,6 @@ def carry_on(frame: Frame, before: Earlier, error: RectificationError, fx_baseli
     T_now_before = motion(frame, before.frame)
     if T_now_before is None or before.depth.confidence is None:
         return None
-    pair = read_pair(frame)
     carried_px, trust = _moved(before.depth, T_now_before, frame.camera.K, fx_baseline)
     merged = merge(frame, pair, pair.restore(carried_px), error)
     if merged is None:

@@ -168,7 +168,8 @@ class Stereo(Method):
         """
         from priors.methods._stereo_carried import carry_on
 
-        depth = carry_on(frame, before, self.rectification, frame.camera.fx * baseline(frame))
+        fx_baseline = frame.camera.fx * baseline(frame)
+        depth = carry_on(frame, self._level(read_pair(frame)), before, self.rectification, fx_baseline)
         if depth is None:
             return None
         depth_m = np.minimum(depth.depth_m, np.float32(FARTHEST_M))
