@@ -17,7 +17,7 @@ from priors.build.chains import Chains, Step
 from priors.build.plan import CACHED, Judge
 from priors.cache import Prior
 from priors.cache.learned import ENTRY, DriveSources, keep
-from priors.cache.sources import watch
+from priors.cache.sources import Sources, watch
 from priors.errors import DataError
 from priors.owner import claim
 from priors.types import Depth, Earlier, Frame
@@ -128,7 +128,7 @@ class Work:
         made_before = {} if before is None else before.sources
         if write:
             kept = keep(self.prior.folder, self.learned | made_before)
-            beside = {} if kept is None else {ENTRY: kept}
+            beside: Sources = {} if kept is None else {ENTRY: kept}
             self.built.append(self.prior.write(frame.id, filtered, seconds, sources | beside))
             if carried is not None:
                 self.carried.append(frame.id)
