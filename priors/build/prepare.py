@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from priors import cache, keys
+from priors.build.chains import VERSION as REUSE_VERSION
+from priors.build.chains import check_reuse
 from priors.build.decided import ENTRY, decide
 from priors.build.job import Job
 from priors.build.temporal import Joined, expect_poses, record_of
@@ -20,7 +22,12 @@ from priors.types import Drive, Frame, Input, Method
 
 
 def prepare(
-    drive: Drive, method: Method, filters: Filters | None = None, folder: Path = Path("cache"), temporal: int = 0
+    drive: Drive,
+    method: Method,
+    filters: Filters | None = None,
+    folder: Path = Path("cache"),
+    reuse: int = 1,
+    temporal: int = 0,
 ) -> Job:
     """Decide every 'auto' and find the prior's place in the cache; no map is made.
 
@@ -29,33 +36,38 @@ def prepare(
         method: how; 'auto' is decided on the drive's first frame.
         filters: what to leave out of the maps; default: nothing.
         folder: the cache.
+        reuse: frames at positions that are multiples of it are made whole, those after each of the one before.
         temporal: join each map with those of so many frames before and after it (priors/fusion/moments.py).
 
     Raises:
+        UsageError: `reuse`, where the method or the drive does not allow it.
         DataError: no frame can be opened, the drive has no poses to join maps by, a name cannot be a file's,
             or a later version of roadprior made the prior.
     """
     filters = filters or Filters()
     _check_names(drive)
     frame = _first_readable(drive)
+    check_reuse(reuse, method, frame)
     home = folder / drive.name
     fingerprint = drive.fingerprint()
     method, decided = decide(method, frame, home, fingerprint)
     manifest = _manifest(drive, frame, method, filters) | {"fingerprint": fingerprint}
-    join = None
+    if reuse > 1:
+        manifest["reuse"] = {"frames": reuse, "version": REUSE_VERSION}
+    kind: dict[str, Any] = {"reuse": reuse}
     if temporal:
         expect_poses(drive, frame)
         manifest["filters"] = {**record_of(temporal), **manifest["filters"]}
-        alone = prepare(drive, method, None, folder)
-        join = partial(Joined.open, alone, temporal)
+        kind = {"join": partial(Joined.open, prepare(drive, method, None, folder, reuse), temporal)}
     if decided is not None:
         manifest[ENTRY] = decided
     earlier = keys.find(home, manifest, type(method))
     if earlier is not None:
-        return Job(drive, method, filters, Prior(earlier.folder, {**manifest, "key": earlier.manifest["key"]}), join)
+        prior = Prior(earlier.folder, {**manifest, "key": earlier.manifest["key"]})
+        return Job(drive, method, filters, prior, **kind)
     key = keys.key(manifest, type(method))
     prior = Prior(home / f"{method.name}-{key}", {**manifest, "key": key})
-    return Job(drive, method, filters, prior, join, distrust=_has_lost_manifest(prior))
+    return Job(drive, method, filters, prior, _has_lost_manifest(prior), **kind)
 
 
 def _manifest(drive: Drive, frame: Frame, method: Method, filters: Filters) -> dict[str, Any]:
@@ -98,7 +110,7 @@ def _has_lost_manifest(prior: Prior) -> bool:
 
 def _first_readable(drive: Drive) -> Frame:
     """Return the first frame that can be opened; the last error where none can."""
-    reason = DataError(f"{drive.name}: no frames")
+    reason = DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
     for index in range(len(drive)):
         try:
             return drive[index]
