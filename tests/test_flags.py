@@ -18,7 +18,7 @@ from priors.errors import DataError
 HUGE = 10**30
 WRONG: dict[type, tuple[Any, ...]] = {int: (-5, HUGE), float: (math.nan, -1.0, -math.inf), str: ("", "a:b:c:d")}
 """What no flag of a kind may take; SIGNED and NAMES are the exceptions."""
-SIGNED = {"stereo.offset-px"}
+SIGNED = {"stereo.offset-px", "stereo.rows-px"}
 """Numbers that may be below 0."""
 NAMES = {"drive", "camera", "host"}
 """Texts that may be anything but empty."""
