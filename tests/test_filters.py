@@ -229,7 +229,7 @@ def sure_map() -> Depth:
 
 
 def test_keep_by_says_which_error_sorts() -> None:
-    """Of equal relative errors the nearest is best in metres and, by its disparity, the farthest in pixels."""
+    """Of equal relative errors the nearest is best in metres and, by its disparity, worst in pixels."""
     frame, depth = make_frame((1, 4)), sure_map()
 
     def left(**flags: Any) -> list[float]:
@@ -238,7 +238,7 @@ def test_keep_by_says_which_error_sorts() -> None:
         return kept.depth_m[kept.valid].tolist()
 
     assert left(keep=0.25, keep_by="metres") == [2]
-    assert left(keep=0.25, keep_by="pixels") == [80]
+    assert left(keep=0.75, keep_by="pixels") == [20, 80, 20]
     assert left(keep=0.75, keep_by="relative") == [2, 20, 80]
     assert left(confidence=0.7, keep_by="relative") == [2, 20, 80]
     assert left(confidence=0.8, keep_by="metres") == [2, 20], "5 % of 20 m is a metre: as likely"
