@@ -50,6 +50,7 @@ ROOMS = [
     "priors/export",
     "priors/bench",
     "priors/plan",
+    "priors/scale",
     "priors/street",
     "priors/learn",
     "priors/stress",

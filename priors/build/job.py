@@ -84,30 +84,28 @@ class Job:
         """
         expect(workers >= 1, "--workers", workers, "1 or more")
         plan = self.plan() if plan is None else plan
-        self._restamp(plan)
+        self.restamp(plan)
         if not plan.todo:
-            if self.prior.ids() and self._manifest_is_old():
-                cache.create(self.prior.folder, self.prior.manifest)
-                follow(self.prior)
-            self._note_decided()
-            tidy(self.prior.folder / CLAIMS)
+            self.end()
             return BuildReport(self.prior, plan, failed=dict(plan.failed))
         for note in self.method.notes():
             on_note(note)
         with threads.limited(threads.count()):
-            work = self._work(on_frame, on_note)
+            work = self.work(on_frame, on_note)
+            self.begin()
             work.do(plan.todo, workers, on_note)
         built = sorted(work.built, key=lambda line: str(line["id"]))
         return BuildReport(self.prior, plan, built, {**plan.failed, **work.failed}, sorted(work.left))
 
-    def _work(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
-        """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
+    def work(
+        self,
+        on_frame: Callable[[str], None] = lambda frame_id: None,
+        on_note: Callable[[str], None] = lambda line: None,
+    ) -> Work:
+        """Make all ready for the first frame: what the method learns from the drive, and its network."""
         watched = WatchedDrive(self.drive)
         make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
         learned = keep(self.prior.folder, watched.sources(self.judge.freshness.digests))
-        cache.create(self.prior.folder, self.prior.manifest)
-        follow(self.prior)
-        self.prior.drop_stale()
         return Work(
             self.drive,
             self.prior,
@@ -117,7 +115,21 @@ class Job:
             {} if learned is None else {ENTRY_LEARNED: learned},
         )
 
-    def _restamp(self, plan: Plan) -> None:
+    def begin(self) -> None:
+        """Make the prior's folder, and clear away what killed builds left; once a build, before its first frame."""
+        cache.create(self.prior.folder, self.prior.manifest)
+        follow(self.prior)
+        self.prior.drop_stale()
+
+    def end(self) -> None:
+        """Bring the manifest up to date where there is nothing to compute."""
+        if self.prior.ids() and self._manifest_is_old():
+            cache.create(self.prior.folder, self.prior.manifest)
+            follow(self.prior)
+        self._note_decided()
+        tidy(self.prior.folder / CLAIMS)
+
+    def restamp(self, plan: Plan) -> None:
         """Note the times of files that were copied, so that the next plan need not read them."""
         lines = self.prior.lines()
         with suppress(OSError):  # a cache that cannot be written: they are read each time

@@ -1,0 +1,114 @@
+"""What the processes of a cluster do: some plan drives, others hold methods and compute frames.
+
+Nothing here knows Ray: planner and builder are called with plain values, and could be called by any engine.
+"""
+
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from priors.build import Job
+from priors.build.work import Work
+from priors.cache import Prior
+from priors.errors import DataError
+from priors.machine import threads
+from priors.scale import tries
+from priors.scale.order import Order
+from priors.scale.tally import Part
+from priors.types import Method
+
+OPEN_DRIVES = 4
+"""Drives that a builder keeps open: stretches of one drive mostly follow each other."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Some frames of a drive that one process computes, and all that was decided for the drive."""
+
+    drive: int
+    """Which of the orders."""
+    method: Method
+    """Every 'auto' is decided, so that all processes decide alike."""
+    folder: Path
+    """The prior's."""
+    manifest: dict[str, Any]
+    """The prior's."""
+    distrust: bool
+    """As in Job."""
+    indices: list[int]
+    """Of the frames in the drive."""
+
+
+def plan_drive(number: int, order: Order, size: int) -> Iterator[Part | Stretch]:
+    """Plan a drive: give what its plan says, then its frames in stretches of `size`.
+
+    What is done once a drive is done here: 'auto's are decided, a network adapts, the prior's folder is made.
+    """
+    try:
+        job = order.prepare()
+        plan = job.plan(order.selection)
+        job.restamp(plan)
+        if plan.todo:
+            tries.forget(job.prior.folder)
+            with threads.limited(threads.count()):
+                job.work()
+            job.begin()
+        else:
+            job.end()
+    except (DataError, OSError) as error:
+        yield Part(number, error=told(error))
+        return
+    yield Part.of_plan(number, job.prior, plan)
+    decided = job.method, job.prior.folder, job.prior.manifest, job.distrust
+    for first in range(0, len(plan.todo), size):
+        yield Stretch(number, *decided, plan.todo[first : first + size])
+
+
+class Builder:
+    """Computes stretches of frames; its process loads each network once, and keeps the last drives open."""
+
+    def __init__(self, orders: Sequence[Order], workers: int, cores: int) -> None:
+        """Take the orders that stretches are of; compute `workers` frames at a time, with so many cores."""
+        self.orders, self.workers, self.cores = orders, workers, cores
+        self._open: OrderedDict[int, Work] = OrderedDict()
+
+    def __call__(self, stretch: Stretch) -> Part:
+        """Compute a stretch and write its maps; what is wrong with a frame, or the drive, is in what is returned."""
+        with threads.limited(self.cores):
+            try:
+                work = self._work(stretch)
+            except (DataError, OSError) as error:
+                failed = {f"position {index}": str(error) for index in stretch.indices}
+                return Part(stretch.drive, done=len(failed), failed=failed)
+            ids = [work.drive.ids[index] for index in stretch.indices]
+            try:
+                work.do(stretch.indices, self.workers, lambda line: None)
+            except OSError as error:  # a full disk, a file server that is gone
+                work.failed.update({id_: told(error) for id_ in ids if not work.prior.has(id_)})
+        failed = {id_: work.failed[id_] for id_ in ids if id_ in work.failed}
+        return Part.of_frames(stretch.drive, work.prior, [id_ for id_ in ids if id_ not in failed], failed)
+
+    def _work(self, stretch: Stretch) -> Work:
+        """Return what computes frames of the stretch's drive, opening it where it is not open."""
+        if stretch.drive not in self._open:
+            drive = self.orders[stretch.drive].open()
+            prior = Prior(stretch.folder, stretch.manifest)
+            job = Job(drive, stretch.method, self.orders[stretch.drive].filters, prior, stretch.distrust)
+            work = job.work()
+            work.make_depth = tries.guarded(work.make_depth, prior.folder)
+            self._open[stretch.drive] = work
+        self._open.move_to_end(stretch.drive)
+        while len(self._open) > OPEN_DRIVES:
+            self._open.popitem(last=False)
+        work = self._open[stretch.drive]
+        work.built.clear()
+        work.left.clear()
+        work.failed.clear()
+        return work
+
+
+def told(error: Exception) -> str:
+    """Say in one line what is wrong: the system's errors with their file."""
+    return f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)
