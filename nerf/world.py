@@ -1,4 +1,4 @@
-"""The processes that fit one field together: `torchrun --nproc-per-node N -m cli.nerf fit ...`.
+"""The processes that fit one field together: `torchrun --nproc-per-node N -m cli.nerf -- fit ...`.
 
 Each process trains on its own rays of a batch; parameters stay equal in all, because each adds up the same gradients
 in the same order. So N processes of r rays do what one does with N r: whatever looks at a whole batch asks here. The

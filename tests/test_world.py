@@ -45,7 +45,7 @@ def together(home: Path, run: str, rays: int, *more: object) -> subprocess.Compl
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     launch = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "--master-port", str(port)]
-    command = [*launch, "-m", "cli.nerf", *arguments(home, run, rays, *more)]
+    command = [*launch, "-m", "cli.nerf", "--", *arguments(home, run, rays, *more)]
     return subprocess.run(command, capture_output=True, text=True, timeout=600, env={**os.environ})
 
 

@@ -1,4 +1,4 @@
-"""`python -m cli.nerf fit ...`, which `torchrun` starts: torchrun --nproc-per-node 2 -m cli.nerf fit ..."""
+"""`python -m cli.nerf fit ...`, as torchrun starts it: torchrun --nproc-per-node 2 -m cli.nerf -- fit ..."""
 
 from cli.nerf import main
 

@@ -40,7 +40,7 @@ examples:
   nerf fit street/ --views sparse                                   colours alone
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --field nerfpp --steps 3000 --run runs/npp
-  torchrun --nproc-per-node 4 -m cli.nerf fit street/ --prior cache/ --rays 256      four processes, one field
+  torchrun --nproc-per-node 4 -m cli.nerf -- fit street/ --prior cache/ --rays 256   four processes, one field
 """
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs

@@ -1,5 +1,6 @@
 """`priors build`: make depth maps for a drive and cache them."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field, make_dataclass, replace
 from glob import escape
@@ -14,7 +15,7 @@ from cli.arguments import SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, busy, err, out, progress
 from cli.engine import EngineArguments
 from cli.priors.left_open import LeftOpen, idle_flags, method_of
-from cli.priors.many import build_many, is_asked
+from cli.priors.many import Asked, build_many, is_asked
 from priors import build, methods
 from priors.bench.budget import Budget
 from priors.build import BuildReport, Job, Plan
@@ -129,7 +130,11 @@ def _build_many(args: BuildArguments, typed: list[str]) -> int:
     def choose(entry: DriveEntry, drive: Drive) -> Method:
         return _settings(args, drive, select(drive.ids, entry.frames), typed)
 
-    return build_many(args, choose, typed)
+    chosen = args.chosen()
+    usual = DriveEntry(Path(), args.dataset, args.part, chosen.frames)
+    command = shlex.join(["priors", "build", *typed])
+    asked = Asked(args.names, usual, args.filters, args.cache, chosen, args.workers, args.engine, command)
+    return build_many(asked, choose)
 
 
 def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:

@@ -1,15 +1,14 @@
 """`priors build` with several drives: one progress bar, one table, summary.json."""
 
-import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
 
 from cli.console import DATA_ERROR, busy, err, growing_progress, out
+from cli.engine import EngineArguments
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.scale.drive_list import DriveEntry, find_drives, stands_for_several
@@ -19,11 +18,31 @@ from priors.scale.order import Order
 from priors.scale.tally import Part, Tally, write_summary
 from priors.selection import Selection
 
-if TYPE_CHECKING:
-    from cli.priors.build import BuildArguments
-
 MOST_ROWS = 40
 """Rows of the table, and errors that are told; summary.json has all."""
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What the command says of all drives."""
+
+    names: Sequence[Path]
+    """Folders, patterns and lists."""
+    usual: DriveEntry
+    """What holds for a drive of which a list says nothing else."""
+    filters: Filters
+    cache: Path
+    selection: Selection
+    workers: int
+    """Frames computed at the same time."""
+    engine: EngineArguments
+    command: str
+    """As typed."""
+
+    def order(self, member: Member) -> Order:
+        """Return what is to be built of a drive."""
+        selection = replace(self.selection, frames=member.entry.frames)
+        return Order(member.entry, member.method, self.filters, self.cache, selection)
 
 
 def is_asked(names: Sequence[Path], engine: str) -> bool:
@@ -44,46 +63,39 @@ class Progress:
         self.grow(part.done, part.todo)
 
 
-def build_many(args: "BuildArguments", choose: Choose, typed: Sequence[str]) -> int:
+def build_many(asked: Asked, choose: Choose) -> int:
     """Build several drives; returns the exit code: 1 where something failed."""
-    usual = DriveEntry(Path(), args.dataset, args.part, args.chosen().frames)
     with busy("looking at the drives"):
-        listed = find_drives(args.names, usual)
+        listed = find_drives(asked.names, asked.usual)
         fleet = gather(listed.entries, choose)
     refused = {**listed.refused, **fleet.refused}
     for place, why in refused.items():
         err.complain(why, place)
     if not fleet.members:
         raise DataError(f"none of {len(refused)} drives can be built" if refused else "no drive to build")
-    tallies = _build(args, fleet)
+    tallies = _build(asked, fleet)
     for member in tallies:
         _complain(member)
     _print(tallies)
     for place, why in refused.items():
         tallies.append(Tally(Path(place).name, place, error=why))
-    command = shlex.join(["priors", "build", *typed])
-    out.print(f"wrote {write_summary(args.cache, command, tallies)}")
+    out.print(f"wrote {write_summary(asked.cache, asked.command, tallies)}")
     return 0 if all(tally.is_whole for tally in tallies) else DATA_ERROR
 
 
-def _build(args: "BuildArguments", fleet: Fleet) -> list[Tally]:
-    orders = [order_of(member, args.filters, args.cache, args.chosen()) for member in fleet.members]
+def _build(asked: Asked, fleet: Fleet) -> list[Tally]:
+    orders = [asked.order(member) for member in fleet.members]
     tallies = [Tally(member.name, str(member.entry.path)) for member in fleet.members]
     label = f"{len(orders)} drives" if len(orders) > 1 else orders[0].method.name
     with growing_progress(label) as grow:
         told = Progress(tallies, grow)
-        if args.engine.engine == "ray":
+        if asked.engine.engine == "ray":
             from priors.scale.on_ray import build_on_ray
 
-            build_on_ray(orders, args.workers, told, args.engine.share, args.engine.address)
+            build_on_ray(orders, asked.workers, told, asked.engine.share, asked.engine.address)
         else:
-            build_here(orders, args.workers, told, err.print)
+            build_here(orders, asked.workers, told, err.print)
     return tallies
-
-
-def order_of(member: Member, filters: Filters, cache: Path, selection: Selection) -> Order:
-    """Return what is to be built of a drive."""
-    return Order(member.entry, member.method, filters, cache, replace(selection, frames=member.entry.frames))
 
 
 def _complain(tally: Tally) -> None:
