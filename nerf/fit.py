@@ -5,14 +5,15 @@ import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
 
 from torch import Tensor
 
 from nerf import fields, journal
-from nerf.checkpoint import Spent, begin, resume, save
+from nerf.blocks import Blocks, part
+from nerf.checkpoint import Spent, begin, open_model, resume, save
 from nerf.config import FitConfig
 from nerf.finite import NotFiniteError, bad_terms, cause
 from nerf.keeper import Keeper, LostError
@@ -93,6 +94,33 @@ def fit(
             loss is not finite any more; or the run is another process's now.
     """
     _expect_shared(config)
+    if config.blocks_m is not None:
+        return _fit_blocks(scene, config, run, on_step, (device, lost))
+    return _fit_one(scene, config, run, on_step, (device, lost))
+
+
+def _fit_blocks(
+    scene: Scene, config: FitConfig, run: Path, on_step: OnStep, how: tuple[str, Callable[[], bool]]
+) -> Model:
+    """Fit a field for each block of the path, one after the other; each has the whole budget."""
+    family = config.model.family
+    expect(fields.shares(family), "--blocks", f"{config.blocks_m:g}", f"a hash family, --field {family} has no blocks")
+    cut = Blocks.cut(scene, config.blocks_m or 0.0)
+    if here().leads:
+        cut.save(run)
+    for number in range(len(cut)):
+
+        def tell(status: Status, number: int = number) -> None:
+            on_step(replace(status, progress=(number + status.progress) / len(cut)))
+
+        _fit_one(cut.scene(scene, number), config, part(run, number), tell, how)
+    here().wait()
+    return open_model(run, how[0])
+
+
+def _fit_one(scene: Scene, config: FitConfig, run: Path, on_step: OnStep, how: tuple[str, Callable[[], bool]]) -> Model:
+    """Train one field, or go on; `how`: the device, and what tells whether the folder is another's now."""
+    device, lost = how
     model = begin(run, scene, config, device)
     if not model.parameters():
         save(run, model, Spent(), scene.origin_m)

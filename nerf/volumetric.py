@@ -71,7 +71,7 @@ class VolumetricFamily:
 
     def start(self, scene: Scene, config: FitConfig, device: str) -> "VolumetricModel":
         """Make an untrained model around a scene, carved where the scene has a prior."""
-        space, sampler = Space.along(scene.T_world_cam, self.space), config.model.sampler
+        space, sampler = Space.along(scene.path, self.space), config.model.sampler
         if sampler.carve and scene.depth_m is not None:
             scene = scene if sampler.carve_sky else replace(scene, sky=None)
             occupancy = Occupancy.carve(space, scene, trust=sampler.trust, device=device)

@@ -17,6 +17,7 @@ from eval.result import Comparison, Result
 from eval.result import score as score_frames
 from priors import drives
 from priors.cache import Prior
+from priors.cache.store import publish
 from priors.errors import DataError
 from priors.machine import threads
 from priors.naming import labels
@@ -157,6 +158,7 @@ def score_pairs(
     unsaved = None
     try:
         result.save(prior.folder / "metrics.json")
+        publish(prior.folder / "metrics.json")
     except OSError as error:  # a cache of somebody else, or a full disk: the figures are told all the same
         unsaved = f"{prior.folder / 'metrics.json'}: cannot be written ({error.strerror})"
     return Score(result, join(parts) if kept else None, pairs.fx_baseline, unsaved)

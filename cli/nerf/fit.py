@@ -40,6 +40,7 @@ examples:
   nerf fit street/ --views sparse                                   colours alone
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --field nerfpp --steps 3000 --run runs/npp
+  nerf fit kitti/ --drive 2011_09_26_drive_0009_sync --blocks 60                     a field every 60 m
   torchrun --nproc-per-node 4 -m cli.nerf -- fit street/ --prior cache/ --rays 256   four processes, one field
 """
 
@@ -76,6 +77,9 @@ class FitArguments(ThreadArguments, SequenceArguments):
     learn: the same, and a scale and a shift a frame are learned with the field; none: take it as it is."""
     width: int = 64
     """Neurons of the hidden layers."""
+    blocks: float | None = None
+    """Cut a long drive into blocks of about so many metres of its path: a field each, with the whole budget each, which
+    views blend."""
     device: Device = "auto"
     """Where to train and render; auto: a GPU where there is one."""
     run: Path | None = None
@@ -107,7 +111,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
         timed = None if self.steps is not None else asked
         model = ModelConfig(self.family, width=self.width, sampler=self.sampler, gaussians=self.gaussians)
         made = FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
-        return replace(made, align=self.align)
+        return replace(made, align=self.align, blocks_m=self.blocks)
 
 
 ARGUMENTS = {"nerf fit": FitArguments}

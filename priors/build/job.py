@@ -15,6 +15,7 @@ from priors.cache.learned import ENTRY as ENTRY_LEARNED
 from priors.cache.learned import Freshness, WatchedDrive, keep
 from priors.cache.places import follow
 from priors.cache.sources import Digests
+from priors.cache.store import publish
 from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
@@ -120,6 +121,8 @@ class Job:
         cache.create(self.prior.folder, self.prior.manifest)
         follow(self.prior)
         self.prior.drop_stale()
+        for path in (self.prior.folder.parent / "weights").glob("*.safetensors"):  # what adapted to the drive
+            publish(path)
 
     def end(self) -> None:
         """Bring the manifest up to date where there is nothing to compute."""

@@ -10,6 +10,7 @@ from priors.build.decided import ENTRY, decide
 from priors.build.job import Job
 from priors.cache import Prior
 from priors.cache.manifest import NewerFormatError
+from priors.cache.store import mirror, store_of
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.records import record
@@ -24,13 +25,14 @@ def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder
         drive: what to make depth for.
         method: how; 'auto' is decided on the drive's first frame.
         filters: what to leave out of the maps; default: nothing.
-        folder: the cache.
+        folder: the cache, or its URL in an object store.
 
     Raises:
         DataError: no frame can be opened, a name cannot be a file's, or a later version of roadprior made the prior.
     """
     filters = filters or Filters()
     _check_names(drive)
+    folder = _here(folder, drive.name)
     frame = _first_readable(drive)
     home = folder / drive.name
     fingerprint = drive.fingerprint()
@@ -44,6 +46,15 @@ def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder
     key = keys.key(manifest, type(method))
     prior = Prior(home / f"{method.name}-{key}", {**manifest, "key": key})
     return Job(drive, method, filters, prior, distrust=_has_lost_manifest(prior))
+
+
+def _here(folder: Path, drive: str) -> Path:
+    """Return the cache, or a store's mirror with all of the drive but the maps."""
+    here = mirror(folder)
+    store = store_of(here)
+    if store is not None:
+        store.pull(drive, (".json", ".jsonl", ".safetensors"))
+    return here
 
 
 def _manifest(drive: Drive, frame: Frame, method: Method, filters: Filters) -> dict[str, Any]:

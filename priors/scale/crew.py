@@ -12,7 +12,7 @@ from typing import Any
 from priors.build import Job
 from priors.build.work import Work
 from priors.cache import Prior
-from priors.errors import DataError
+from priors.errors import DataError, told
 from priors.machine import threads
 from priors.scale import tries
 from priors.scale.order import Order
@@ -107,8 +107,3 @@ class Builder:
         work.left.clear()
         work.failed.clear()
         return work
-
-
-def told(error: Exception) -> str:
-    """Say in one line what is wrong: the system's errors with their file."""
-    return f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)

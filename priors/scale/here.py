@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 
-from priors.errors import DataError
+from priors.errors import DataError, told
 from priors.scale.order import Order
 from priors.scale.tally import Part
 
@@ -22,8 +22,8 @@ def build_here(orders: Sequence[Order], workers: int, on_part: OnPart, on_note: 
     for number, order in enumerate(orders):
         try:
             _build(number, order, workers, on_part, on_note)
-        except DataError as error:
-            on_part(Part(number, error=str(error)))
+        except (DataError, OSError) as error:  # OSError: a full disk or store
+            on_part(Part(number, error=told(error)))
 
 
 def _build(number: int, order: Order, workers: int, on_part: OnPart, on_note: OnNote) -> None:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from priors import build, drives
 from priors.build import Job
+from priors.cache.store import is_store
 from priors.filters import Filters
 from priors.scale.drive_list import DriveEntry
 from priors.selection import Selection
@@ -29,7 +30,8 @@ class Order:
     @property
     def absolute(self) -> "Order":
         """The same, for a process that works in another folder."""
-        return replace(self, entry=self.entry.absolute, cache=self.cache.absolute())
+        cache = self.cache if is_store(self.cache) else self.cache.absolute()
+        return replace(self, entry=self.entry.absolute, cache=cache)
 
     def open(self) -> Drive:
         """Open the drive; DataError where it cannot be."""

@@ -10,6 +10,7 @@ from eval.files import write_bytes
 from priors.build import BuildReport, Plan
 from priors.build.plan import CACHED
 from priors.cache import Prior
+from priors.cache.store import mirror, publish
 
 NAME = "summary.json"
 FORMAT = 1
@@ -116,7 +117,8 @@ def write_summary(cache: Path, command: str, tallies: Sequence[Tally]) -> Path:
     Raises:
         OSError: it cannot be written.
     """
-    path = cache / NAME
+    path = mirror(cache) / NAME
     content = {"format": FORMAT, "command": command, "drives": [tally.record() for tally in tallies]}
     write_bytes(path, (json.dumps(content, indent=1) + "\n").encode())
+    publish(path)
     return path
