@@ -1,13 +1,16 @@
 """Flags of commands that can work on several machines."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from priors.errors import UsageError, expect, expect_between
 from priors.machine.threads import MOST_THREADS
 
 if TYPE_CHECKING:  # keeps the engine out of --help
     from priors.scale.ray_session import Share
+    from priors.scale.scoring import RayScorer
 
 TYPED = ("address", "cpus_per_worker", "gpus_per_worker")
 """Flags that only a cluster reads."""
@@ -41,6 +44,14 @@ class EngineArguments:
 
         return Share(self.cpus_per_worker, self.gpus_per_worker)
 
-    def words(self) -> dict[str, Any]:
-        """Return what the engine is given by name."""
-        return {"share": self.share, "address": self.address}
+    @contextmanager
+    def scorer(self) -> Iterator["RayScorer | None"]:
+        """Give what scores on the cluster while the block runs; None: here."""
+        if self.engine == "local":
+            yield None
+            return
+        from priors.scale.ray_session import session
+        from priors.scale.scoring import RayScorer
+
+        with session(self.address) as ray:
+            yield RayScorer(ray, self.share)

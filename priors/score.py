@@ -10,6 +10,7 @@ From Python:
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from eval.curves import Curves, Metric, ScoredPixels, best, curves, join
 from eval.protocol import Protocol, preset
@@ -127,12 +128,18 @@ def pair(prior: Prior, drive: Drive, frames: str | None = None, against: Prior |
     return Pairs(prior, drive, ids)
 
 
+OnFrame = Callable[[str], None]
+Scorer = Callable[[Pairs, Protocol, dict[str, Any], OnFrame], Result]
+"""Scores all pairs by a protocol; the result has the info that is given, and each frame's id is told."""
+
+
 def score_pairs(
     pairs: Pairs,
     protocol: Protocol = PAPER,
     name: str | None = None,
     keep_pixels: bool = False,
-    on_frame: Callable[[str], None] = lambda frame_id: None,
+    on_frame: OnFrame = lambda frame_id: None,
+    scorer: Scorer | None = None,
 ) -> Score:
     """Score the maps of a prior and keep the result as metrics.json beside them.
 
@@ -143,6 +150,7 @@ def score_pairs(
         keep_pixels: whether to keep the scored pixels of a prior with a confidence; curves are made of them. They take
             24 bytes a pixel.
         on_frame: told the id of each frame when it is scored.
+        scorer: scores elsewhere (priors/scale/scoring.py); it keeps no pixels. None: here.
     """
     prior = pairs.prior
     truth = drives.truth_of(pairs.drive.describe()) if pairs.against is None else pairs.against.name
@@ -152,9 +160,11 @@ def score_pairs(
     parts: list[ScoredPixels] = []
     kept = keep_pixels and (prior.folder / "confidence").is_dir()
     with threads.limited(threads.count()):
-        result = score_frames(
-            _telling(pairs, on_frame), protocol, pairs.fx_baseline, info, parts.append if kept else None
-        )
+        if scorer is not None and not kept:
+            result = scorer(pairs, protocol, info, on_frame)
+        else:
+            told = _telling(pairs, on_frame)
+            result = score_frames(told, protocol, pairs.fx_baseline, info, parts.append if kept else None)
     unsaved = None
     try:
         result.save(prior.folder / "metrics.json")
