@@ -102,7 +102,7 @@ def _connect(ray: ModuleType, address: str | None) -> None:
         given |= {"include_dashboard": False, "object_store_memory": STORE_BYTES}
     try:
         ray.init(address=address or "local", configure_logging=True, **given)
-    except (ConnectionError, RuntimeError, ValueError) as error:
+    except Exception as error:  # Ray raises plain ones too
         if address is None:
             raise DataError(f"--engine ray: Ray does not start here: {_first_line(error)}") from error
         raise DataError(f"--address {address}: no cluster there: `ray start` begins one") from error
