@@ -17,6 +17,7 @@ Where a new field, or a field's new default, changes what comes out, what earlie
     BEFORE: ClassVar[Mapping[str, Any]] = {"terminate": 0.0}
 
 A record that lacks the field is of an earlier version, and is read with that value: its results go on as they were.
+A key leaves such a value out, so that what earlier versions made keeps its key.
 """
 
 from collections.abc import Mapping
@@ -74,8 +75,11 @@ def upgrade(kind: type[Any], old: Record) -> Record:
 
 
 def original(kind: type[Any], new: Record) -> Record:
-    """Return a record of today in the names that its fields had first: what keys are made of; `upgrade` undoes it."""
-    old = _plain(new)
+    """Return a record of today as earlier versions had it: what keys are made of; `upgrade` undoes it.
+
+    Fields have the names that they had first; a new field that changes nothing is left out.
+    """
+    old = {name: value for name, value in _plain(new).items() if not _is_before(kind, name, value)}
     for name, place in aliases(kind).items():
         parts = (place,) if isinstance(place, str) else place
         values = [_take(old, part) for part in parts]
@@ -108,6 +112,11 @@ def nested_config(hint: Any) -> type[Any] | None:
     if get_origin(hint) in (Annotated, Union, UnionType):
         return next((config for part in get_args(hint) if (config := nested_config(part))), None)
     return hint if isinstance(hint, type) and is_dataclass(hint) else None
+
+
+def _is_before(kind: type[Any], name: str, value: Any) -> bool:
+    """Tell whether a field has the value that earlier versions, which did not have it, are read with."""
+    return name in before(kind) and value == _plain(before(kind)[name])
 
 
 def _renamed(kind: type[Any], old: Record) -> Record:

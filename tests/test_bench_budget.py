@@ -156,7 +156,7 @@ def drive(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Drive:
     """A pair's drive with a bench of its own in cache/."""
     monkeypatch.chdir(tmp_path)
     drive = open_drive(write_folder(tmp_path / "mine"))
-    race = Race(judge(drive, None, 12, preset("paper"), None), [], Path("cache/mine/bench"))
+    race = Race(judge(drive, range(len(drive)), 12, preset("paper"), None), [], Path("cache/mine/bench"))
     standings = (
         standing("stereo", Stereo(), 0.1, 0.03),
         standing("stereo cfnet-s bf16", Stereo("cfnet", runtime="bf16"), 0.3, 0.02),

@@ -75,7 +75,7 @@ def at_once(method: Method, drive: Any, frame: int, timeout_s: float | None) -> 
 
 def race(drive: Drive, folder: Path, entrants: list[Entrant] | None = None, **more: Any) -> Race:
     options = {"scout": at_once} | more
-    return Race(judge(drive, None, 12, UNCAPPED, None), entrants or lineup(), folder / "bench", **options)
+    return Race(judge(drive, range(len(drive)), 12, UNCAPPED, None), entrants or lineup(), folder / "bench", **options)
 
 
 @pytest.fixture
@@ -131,8 +131,8 @@ def test_what_was_measured_otherwise_is_measured_again(drive: Drive, tmp_path: P
     first = race(drive, tmp_path)
     first.run(first.enter())
     for other in (
-        replace(first, judge=judge(drive, None, 2, UNCAPPED, None)),
-        replace(first, judge=judge(drive, None, 12, preset("paper"), None)),
+        replace(first, judge=judge(drive, range(len(drive)), 2, UNCAPPED, None)),
+        replace(first, judge=judge(drive, range(len(drive)), 12, preset("paper"), None)),
         replace(first, entrants=lineup(near=Shifted(0.02))[:1]),
     ):
         assert other.enter().plan.frames["near"] == len(other.judge.frames)

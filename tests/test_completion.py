@@ -1,6 +1,7 @@
 """Completion: planes, edges, what the camera cannot see, any number of samples, bad input, and the real figures."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,9 @@ from priors.drives import open_drive
 from priors.errors import DataError
 from priors.kernels import plane_propagation
 from priors.kernels import sparse_samples as kernels
-from priors.methods.completion import Completion, complete
+from priors.methods.completion import GENTLE, Completion, complete
 from priors.methods.lidar import Lidar
+from priors.records import record, upgrade
 from priors.types import Camera, Depth, Frame, Sweep
 
 Map = npt.NDArray[np.float32]
@@ -320,6 +322,35 @@ def test_lidar_source_fills_the_lidar_methods_map() -> None:
     got = config(with_sweep)
     assert got.density > 0.9
     np.testing.assert_allclose(got.depth_m[got.valid], 20 - 0.27, rtol=1e-3)
+
+
+def test_a_sweep_is_cleaned_gently() -> None:
+    """Of a box before a wall: samples beside the outline stay, and what the scanner sees past it goes by its place."""
+    rng = np.random.default_rng(3)
+    ahead = np.stack([np.full(6000, 20.0), rng.uniform(-5, 5, 6000), rng.uniform(-2, 1, 6000)], axis=1)
+    ahead[np.abs(ahead[:, 1]) < 1, 0] = 8.0
+    read = {"sweep": lambda offset=0: Sweep(ahead.astype(F), None) if offset == 0 else None}
+    alone, posed = frame(**read), replace(frame(**read), T_world_cam=np.eye(4))
+    for one, place in ((alone, T_CAM_LIDAR), (posed, None)):
+        gentle = Completion().resolve(one)
+        sparse_m = gentle.lidar.look(one, GENTLE).depth_m
+        assert (sparse_m > 0).sum() > (gentle.lidar(one).depth_m > 0).sum()
+        want = complete(sparse_m, GREY, CAMERA, place).depth_m
+        np.testing.assert_array_equal(gentle(one).depth_m, want)
+        full = replace(gentle, cleaning="full")
+        as_before = complete(gentle.lidar(one).depth_m, GREY, CAMERA).depth_m
+        np.testing.assert_array_equal(full(one).depth_m, as_before)
+        assert not np.array_equal(full(one).depth_m, want)
+
+
+def test_maps_of_before_are_found_where_cleaning_decides_nothing() -> None:
+    """A record that lacks the field cleaned in full; so is one of maps that no cleaning touched."""
+    posed = replace(frame(sweep=lambda offset=0: None), T_world_cam=np.eye(4))
+    maps = frame(sparse=lambda: Depth(lines(ground())))
+    for one, wish in ((maps, Completion()), (posed, Completion(lidar=Lidar(occlusion=False)))):
+        today = record(wish.resolve(one))
+        assert upgrade(Completion, {k: v for k, v in today.items() if k != "cleaning"}) == today
+    assert Completion().resolve(posed).cleaning == "gentle"
 
 
 def test_what_is_missing_is_named() -> None:

@@ -17,6 +17,7 @@ from priors import build
 from priors.check import check
 from priors.drives import DriveOptions, open_drive, reopen
 from priors.errors import DataError, UsageError
+from priors.methods.lidar import Lidar
 from priors.methods.mono import Mono
 from priors.methods.stereo import Stereo
 from priors.score import score
@@ -96,6 +97,31 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
         drive[1].other()
     with pytest.raises(DataError, match="stereo benchmark has no sweeps"):
         drive[0].sweep()
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_a_sweep_beside_a_pair_is_seen_where_the_truth_is(tmp_path: Path, shared: bool) -> None:
+    split = write_2015(tmp_path, sweeps=True)
+    before = open_drive(split).fingerprint()
+    if shared:
+        (split / "calib_velo_to_cam" / "000000.txt").rename(tmp_path / "calib_velo_to_cam.txt")
+    drive = open_drive(split)
+    frame = drive[0]
+    seen_m, true_m = Lidar(sweeps=1, stereo=False, occlusion=False)(frame).depth_m, frame.truth().depth_m
+    both = seen_m > 0
+    assert both.mean() > 0.05
+    np.testing.assert_allclose(seen_m[both], true_m[both], rtol=0.12)  # the truth's fractions count columns
+    assert frame.sweep(1) is None
+    (split / "velodyne" / "000001_10.bin").unlink()
+    with pytest.raises(DataError, match=r"velodyne: no sweep 000001_10\.bin"):
+        open_drive(split)[1].sweep()
+    if not shared:
+        (split / "calib_velo_to_cam" / "000000.txt").unlink()
+        with pytest.raises(
+            DataError, match=r"calib_velo_to_cam/000000\.txt: no such file, so the sweep cannot be placed"
+        ):
+            open_drive(split)[0].sweep()
+        assert open_drive(split).fingerprint() != before
 
 
 def test_the_audit_is_clean(tmp_path: Path) -> None:

@@ -20,6 +20,7 @@ ROOMS = [
     "priors/poses",
     "priors/selection",
     "priors/drive_around",
+    "priors/held_back",
     "priors/codecs",
     "priors/machine",
     "priors/kernels",

@@ -100,7 +100,7 @@ def test_the_registry_holds_methods(name: str) -> None:
 
 WRONG: list[tuple[Callable[[], object], str]] = [
     (lambda: Stereo(max_disparity_px=0), "--stereo.max-disparity-px 0: expected a whole number from 1"),
-    (lambda: Stereo(model="magic"), "--stereo.model magic: expected one of classical, cfnet, pcwnet"),  # type: ignore[arg-type]
+    (lambda: Stereo(model="magic"), "--stereo.model magic: expected one of auto, classical, cfnet, pcwnet"),  # type: ignore[arg-type]
     (lambda: Stereo(runtime="gpu"), "--stereo.runtime gpu: expected one of auto"),  # type: ignore[arg-type]
     (lambda: Stereo(weights=Path("a.onnx")), "--stereo.weights a.onnx: which network"),
     (lambda: Stereo(offset_px=(1, 2, 3, 4, 5)), "--stereo.offset-px 1 2 3 4 5: expected at most 4"),

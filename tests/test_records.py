@@ -97,6 +97,24 @@ def test_the_first_names_are_those_that_stand_first() -> None:
     }
 
 
+@dataclass(frozen=True)
+class Later(Network):
+    """The same with fields that earlier versions had not, of which one does nothing as it was before."""
+
+    headroom: float = 1.25
+    rows_px: float | None = None
+
+    BEFORE: ClassVar[Mapping[str, Any]] = {"headroom": 1.0, "rows_px": None}
+
+
+def test_a_new_field_that_does_nothing_is_not_in_the_first_record() -> None:
+    assert original(Later, record(Later(headroom=1.0))) == original(Network, record(Network()))
+    assert original(Later, record(Later())) == original(Network, record(Network())) | {"headroom": 1.25}
+    for config in (Later(), Later(headroom=1.0), Later(rows_px=0.0), Later(rows_px=2.5, headroom=1.0)):
+        assert restore(Later, original(Later, record(config))) == config
+    assert upgrade(Later, record(Network())) == record(Later(headroom=1.0))
+
+
 whatever_the_load = settings(deadline=None, suppress_health_check=[HealthCheck.too_slow])
 px = st.floats(-5, 5)
 networks = st.builds(Network, st.text(), st.none() | st.just(Path("w.onnx")), st.integers())

@@ -20,6 +20,7 @@ from priors.bench.schedule import Schedule
 from priors.cache import Prior
 from priors.draw import lines
 from priors.errors import UsageError, expect, expect_between
+from priors.held_back import held_back
 from priors.selection import parse_range, select
 from priors.types import Drive
 
@@ -32,21 +33,26 @@ examples:
   priors bench KITTI/2011_09_26 --drive 2011_09_26_drive_0001_sync --truth KITTI/depth
   priors bench street/ --runtimes auto --count 5 --at-most 2m         each network as this machine runs it best
   priors bench street/ --only stereo completion SGBM                  those whose names begin so
+  priors bench ../data/kitti_stereo2015 --held-back --only stereo --network mine.safetensors
+                                                    on frames that no network of ours was trained on
   priors bench street/ --network mine.onnx                            your own network beside ours
   priors bench street/ --sweep size --only stereo lidar               how time and memory grow with the image
   priors bench street/ --against cache/DRIVE/lidar-KEY                a prior in place of the truth
 """
 MOST_FRAMES = 10_000
+USUAL_COUNT = 12
 
 
 @dataclass(frozen=True)
 class PriorsBenchArguments(ThreadArguments, SequenceArguments):
     """Arguments of `priors bench`."""
 
-    count: int = 12
-    """Frames, spread evenly over those with a truth."""
+    count: int | None = None
+    """Frames, spread evenly over those with a truth; default: 12, and with --held-back all."""
     frames: str | None = None
     """Range of frames to take them from, a:b."""
+    held_back: bool = False
+    """Take only frames that no network of ours was trained on: docs/training.md names them."""
     protocol: Literal[*PRESETS] = "uncapped"  # type: ignore[valid-type]
     """Which pixels count and how; docs/metrics.md has the definitions."""
     against: Path | None = None
@@ -81,6 +87,23 @@ class PriorsBenchArguments(ThreadArguments, SequenceArguments):
         if self.times_only and self.against is not None:
             raise UsageError("--against: nothing is scored with --times-only: leave out one or the other")
 
+    def indices(self, drive: Drive) -> list[int]:
+        """Return the positions of the frames to choose from; DataError or UsageError where there are none."""
+        chosen = select(drive.ids, self.frame_range(self.frames))
+        if not self.held_back:
+            return chosen
+        left_out = set(held_back(drive))
+        found = [index for index in chosen if index in left_out]
+        if not found:
+            raise UsageError(
+                f"--frames {self.frames}: none of these frames is held back: leave out one or the other flag"
+            )
+        return found
+
+    def most(self) -> int:
+        """Return how many frames to take at most."""
+        return self.count or (MOST_FRAMES if self.held_back else USUAL_COUNT)
+
     def lineup(self) -> list[Entrant]:
         """List who takes part; UsageError where --only leaves nobody."""
         every = [*entrants.baselines(), *entrants.field_size(self.runtimes)]
@@ -109,8 +132,8 @@ def _bench(args: PriorsBenchArguments, command: str) -> int:
         return _sweep(args, drive, lineup)
     against = None if args.against is None else cache.only(args.against)
     lineup = [each for each in lineup if against is None or not _is_itself(each, against)]
-    frames, protocol = args.frame_range(args.frames), preset(args.protocol)
-    chosen = judge(drive, frames, args.count, protocol, against, not args.times_only)
+    indices = args.indices(drive)
+    chosen = judge(drive, indices, args.most(), preset(args.protocol), against, not args.times_only)
     if load() > BUSY:
         err.print("this machine is busy: compare ratios and processor time, not milliseconds")
     folder = args.cache / drive.name / FOLDER
@@ -133,7 +156,7 @@ def _bench(args: PriorsBenchArguments, command: str) -> int:
 def _sweep(args: PriorsBenchArguments, drive: Drive, lineup: list[Entrant]) -> int:
     """Measure how time and memory grow; print the slopes, draw them."""
     assert args.sweep is not None
-    indices = select(drive.ids, args.frame_range(args.frames))
+    indices = args.indices(drive)
     frame = indices[len(indices) // 2]
     able = [each for each in lineup if each.lacks(drive[frame]) is None]
     with progress(f"sweep of {args.sweep}", len(sweep.points(args.sweep, able, drive[frame].camera.size))) as step:

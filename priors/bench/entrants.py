@@ -14,7 +14,7 @@ from priors.methods._network import Network
 from priors.methods.completion import Completion
 from priors.methods.mono import Mono
 from priors.methods.stereo import Stereo
-from priors.records import record
+from priors.records import original, record
 from priors.types import Frame, Method
 
 AUTO = "auto"
@@ -50,7 +50,7 @@ class Entrant:
         """Return a hash of what decides its maps and its time: settings, version, weights."""
         method = self.method
         parts = {"method": method.name, "version": method.VERSION, "weights": method.weights_digest()}
-        return key_of(parts | {"config": record(method)})
+        return key_of(parts | {"config": original(type(method), record(method))})
 
 
 def field_size(runtimes: Sequence[str] | None = None) -> list[Entrant]:
@@ -163,7 +163,7 @@ def _of_weights(file: Path) -> Method:
 
 def _net_of(about: dict[str, Any], file: Path) -> Any:
     """Return the stereo network that a header names."""
-    known = [model for model in get_args(get_type_hints(Stereo)["model"]) if model != USUAL_MODEL]
+    known = [model for model in get_args(get_type_hints(Stereo)["model"]) if model not in (USUAL_MODEL, AUTO)]
     if about.get("net") not in known:
         raise DataError(f"{file}: its header names the network {about.get('net')!r}: expected {', '.join(known)}")
     return about["net"]

@@ -9,7 +9,7 @@ from eval.protocol import Protocol
 from eval.result import Comparison, score_frame
 from priors.cache import Prior
 from priors.errors import DataError
-from priors.selection import pick_middles, select
+from priors.selection import pick_middles
 from priors.types import Depth, Drive, Frame
 
 CALIBRATION = "calibration"
@@ -54,13 +54,13 @@ class Judge:
 
 
 def judge(
-    drive: Drive, frames: str | None, count: int, protocol: Protocol, against: Prior | None, scored: bool = True
+    drive: Drive, indices: Sequence[int], count: int, protocol: Protocol, against: Prior | None, scored: bool = True
 ) -> Judge:
     """Choose frames, spread evenly over those with a truth, and find how to read it.
 
     Args:
         drive: the drive.
-        frames: a range a:b, or None.
+        indices: the frames to choose from.
         count: how many frames at most.
         protocol: how to score.
         against: a prior whose maps stand for the truth.
@@ -69,7 +69,6 @@ def judge(
     Raises:
         DataError: there is no truth, or it has another size than the images.
     """
-    indices = select(drive.ids, frames)
     if not scored:
         return Judge(drive, tuple(pick_middles(indices, count)), protocol, None)
     known = [index for index in indices if _has_truth(drive, index, against)]

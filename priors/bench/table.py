@@ -19,13 +19,14 @@ from priors.report.blocks import Paragraph, Ranking, coloured_svg
 from priors.report.page import Block, Chapter, Section
 
 ERROR = "abs_rel"
+SHOWN = (ERROR, "rmse", "mae", "delta_1", "epe", "d1", "density", "density_image", "ause_abs_rel")
 COLUMNS = {
     "ms": Column("ms", digits=1),
     "spread_ms": Column("± ms", digits=1),
     "processor_ms": Column("processor", "ms", digits=1),
     "read_ms": Column("reading", "ms", digits=1),
     "peak_gib": Column("peak", "GiB", digits=2),
-    **{key: table.COLUMNS[key] for key in (ERROR, "rmse", "delta_1", "density", "density_image", "ause_abs_rel")},
+    **{key: table.COLUMNS[key] for key in SHOWN},
     CALIBRATION: Column("calibration", digits=3),
 }
 """What a row shows; a column without a figure is left out."""

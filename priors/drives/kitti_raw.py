@@ -309,16 +309,16 @@ def read_calibration(files: Mapping[str, Path], camera: str) -> RigCalibration:
     width, height = need(values, f"S_rect_{number}", 2, path)
     R_rect = np.eye(4)
     R_rect[:3, :3] = need(values, "R_rect_00", 9, path).reshape(3, 3)
-    T_cam_velo = _read_rigid(files[VELO_FILE])
+    T_cam_velo = read_rigid(files[VELO_FILE])
     return RigCalibration(
         camera=Camera(K, (int(height), int(width))),
         T_cam_cam0=T_cam_cam0,
         T_cam0_velo=None if T_cam_velo is None else R_rect @ T_cam_velo,
-        T_velo_imu=_read_rigid(files[IMU_FILE]),
+        T_velo_imu=read_rigid(files[IMU_FILE]),
     )
 
 
-def _read_rigid(path: Path) -> Matrix | None:
+def read_rigid(path: Path) -> Matrix | None:
     """Read R and T as (4, 4); None where the file is not there (image-only downloads)."""
     if not path.exists():
         return None

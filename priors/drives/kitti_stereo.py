@@ -5,6 +5,7 @@
     2012  training/{image_0,image_1,colored_0,colored_1}/000000_10.png, disp_occ/, disp_noc/
           training/calib/000000.txt
     both  testing/, without truth
+    velodyne/000000_10.bin      not in the download: the raw sweep of a pair, put beside by its user
 
 Quirks kept here (devkits' readmes of both years; Menze and Geiger, CVPR 2015):
 - A "drive" is a split. Its frames are of many drives and days: there are no poses, no times and no motion between them.
@@ -14,6 +15,8 @@ Quirks kept here (devkits' readmes of both years; Menze and Geiger, CVPR 2015):
   above it, may serve all frames.
 - Truth is disparity: uint16, px x 256, 0 = none, of the left camera. occ has all pixels and noc those that the right
   image shows too. 2012's truth is that of the grey cameras: for the colour ones --truth must name it.
+- A sweep is placed by calib_velo_to_cam/000000.txt, or by one calib_velo_to_cam.txt for all, which lie where the
+  cameras' calibration does. It is not compensated for the car's motion, and nothing here tells the motion.
 - obj_map (2015): 0 = background, else the number of a car. The benchmark scores the two apart.
 """
 
@@ -41,9 +44,11 @@ from priors.drives._files import (
     stems,
 )
 from priors.drives._rigs import KITTI
+from priors.drives._velodyne import read_sweep_file
+from priors.drives.kitti_raw import read_rigid
 from priors.errors import DataError
 from priors.geometry import convert_disparity
-from priors.types import Camera, Depth, Mask, Matrix
+from priors.types import Camera, Depth, Mask, Matrix, Sweep
 
 BELOW = 2
 """How many levels below the data set's own folder its splits are: data_scene_flow/, then a split."""
@@ -55,6 +60,8 @@ TRUTHS = {"image_2": ("disp_occ_0", "disp_noc_0"), "image_0": ("disp_occ", "disp
 REFERENCE = re.compile(r"\d{6}_10\.(png|jpe?g)", re.IGNORECASE)
 LOOKED_AT = 200
 """Files of a folder that are looked at to recognise it."""
+CAMERAS, LIDAR = "calib_cam_to_cam", "calib_velo_to_cam"
+"""What the files and folders of calibration are called; 2012 has another name for the cameras'."""
 CALIBRATION = "download data_scene_flow_calib.zip (2015), or the calib folder of data_stereo_flow.zip (2012)"
 
 
@@ -99,6 +106,7 @@ class KittiStereo(CameraDrive):
         self._truth_folder = self._find_truth()
         self.maps = {} if self._truth_folder is None else {"truth": stems(self._truth_folder, [".png"])}
         self._objects = stems(self.folder / "obj_map", [".png"]) if camera == "image_2" else {}
+        self._sweeps = stems(self.folder / "velodyne", [".bin"])
         self.camera = self.camera_of(self.ids[0])
         self.baseline_m = self.baseline_of(self.ids[0])
         self.rig = KITTI
@@ -117,18 +125,26 @@ class KittiStereo(CameraDrive):
 
     def sources(self) -> list[Path]:
         """List the calibration files of all frames."""
-        return list(dict.fromkeys(self._calibration_file(id_) for id_ in self.ids))
+        files = [self._calibration_file(id_) for id_ in self.ids]
+        files += [path for id_ in self.ids if (path := self._lidar_file(id_)) is not None]
+        return list(dict.fromkeys(files))
 
     def readers(self, id_: str) -> Readers:
-        """Return what can be read of a frame: also which pixels are cars."""
+        """Return what can be read of a frame: also which pixels are cars, and a sweep."""
         readers = super().readers(id_)
+        if self._lidar_file(id_) is not None:
+            readers["sweep"] = lambda offset=0: self._read_sweep(id_) if offset == 0 else None
         if id_ in self._objects:
             readers["foreground"] = lambda: self._read_objects(id_)
         return readers
 
     def files(self, id_: str) -> Files:
-        """Return which file each reader reads: also the cars'."""
-        return super().files(id_) | {"foreground": lambda: self._objects.get(id_)}
+        """Return which file each reader reads: also the cars' and the sweep's."""
+        files: Files = {
+            "foreground": lambda: self._objects.get(id_),
+            "sweep": lambda offset=0: self._sweeps.get(id_) if offset == 0 else None,
+        }
+        return super().files(id_) | files
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
@@ -140,9 +156,14 @@ class KittiStereo(CameraDrive):
             truth = f"truth is of the left camera: leave out --camera, or choose {left}"
         elif left not in TRUTHS:
             truth = f"truth of 2012 is of the grey camera: name it, --truth {self.folder / 'disp_occ'}, to take it here"
+        sweep = "KITTI's stereo benchmark has no sweeps: use stereo, or mono"
+        if id_ in self._sweeps:
+            sweep = f"{self._lidar_places(id_)[0]}: no such file, so the sweep cannot be placed: {CALIBRATION}"
+        elif self._sweeps:
+            sweep = f"{self.folder / 'velodyne'}: no sweep {id_}.bin"
         return {
             "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras",
-            "sweep": "KITTI's stereo benchmark has no sweeps: use stereo, or mono",
+            "sweep": sweep,
             "truth": truth,
             "sparse": "KITTI's stereo benchmark has no sparse depth maps",
             "sky": "KITTI has no sky masks",
@@ -156,6 +177,16 @@ class KittiStereo(CameraDrive):
         if size is not None and size.size == 2:
             return Camera(K, (int(size[1]), int(size[0])))
         return Camera(K, self._size_of(self.images[id_]))
+
+    def T_cam_lidar(self, id_: str) -> Matrix | None:
+        """Return the LiDAR's place by the frame's own calibration; None where it has no sweep."""
+        lidar = self._lidar_file(id_)
+        T_cam0_velo = None if lidar is None else read_rigid(lidar)
+        if T_cam0_velo is None:
+            return None
+        cameras, R_rect = self._calibration_file(id_), np.eye(4)
+        R_rect[:3, :3] = need(self._calibration(cameras), "R_rect_00", 9, cameras).reshape(3, 3)
+        return np.asarray(self._projection(id_, self.camera_name)[1] @ R_rect @ T_cam0_velo)
 
     def baseline_of(self, id_: str) -> float | None:
         """Return the baseline of the frame's own pair."""
@@ -183,6 +214,10 @@ class KittiStereo(CameraDrive):
             raise DataError(f"{path}: expected a one-channel map of object numbers: download it again")
         return np.asarray(check_size(objects, path, self.camera_of(id_)) > 0)
 
+    def _read_sweep(self, id_: str) -> Sweep:
+        """Read a pair's sweep; there are no poses to place it in a world."""
+        return Sweep(read_sweep_file(self._sweeps[id_]), None)
+
     def _projection(self, id_: str, camera: str) -> tuple[Matrix, Matrix]:
         path, number = self._calibration_file(id_), NUMBERS[camera]
         values = self._calibration(path)
@@ -200,17 +235,30 @@ class KittiStereo(CameraDrive):
     @cached_property
     def _shared(self) -> set[Path]:
         """Calibration files for all frames that are there."""
-        places = [above / "calib_cam_to_cam.txt" for above in (self.folder, self.folder.parent)]
+        places = [above / f"{name}.txt" for name in (CAMERAS, LIDAR) for above in (self.folder, self.folder.parent)]
         return {path for path in places if path.is_file()}
 
     def _calibration_places(self, id_: str) -> list[Path]:
         """List where the frame's calibration may be, the likeliest first."""
+        return self._places(id_, CAMERAS if self.camera_name in PAIRS[0] else "calib", CAMERAS)
+
+    def _lidar_file(self, id_: str) -> Path | None:
+        """Return the file that tells where a frame's sweep was taken; None where there is no sweep, or no such file."""
+        if id_ not in self._sweeps:
+            return None
+        return next((path for path in self._lidar_places(id_) if path in self._shared or path.is_file()), None)
+
+    def _lidar_places(self, id_: str) -> list[Path]:
+        """List where the place of the LiDAR may be told, the likeliest first."""
+        return self._places(id_, LIDAR, LIDAR)
+
+    def _places(self, id_: str, inside: str, for_all: str) -> list[Path]:
+        """List where a frame's own file, or the one for all frames, may be."""
         file, split = f"{id_[:6]}.txt", self.folder.name
-        inside = "calib_cam_to_cam" if self.camera_name in PAIRS[0] else "calib"
         calibs = [above / zip_ / split for above in list(self.folder.parents)[:2] for zip_ in (
             "data_scene_flow_calib", "data_stereo_flow_calib", "calib")]  # fmt: skip
         own = [folder / inside / file for folder in (self.folder, *calibs)]
-        return [*own, *(path / "calib_cam_to_cam.txt" for path in (self.folder, self.folder.parent))]
+        return [*own, *(path / f"{for_all}.txt" for path in (self.folder, self.folder.parent))]
 
     def _find_truth(self) -> Path | None:
         """Return the folder of the camera's truth; DataError where --truth names one that has none."""

@@ -12,6 +12,9 @@ from eval.files import write_atomically, write_bytes
 from priors.errors import DataError
 from priors.nets import runtime, weights
 
+HEADROOM = {"cfnet": 1.25, "pcwnet": 1.25}
+"""How far beyond a scene's largest disparity stereo networks search: of 27 pairs of KITTI 2015 the disparities near the
+end of the range are wrong by 1.9 px without, by 1.6 px with this, and by 1.55 px with 192 px."""
 LAST, BEST, RECORD = "last.safetensors", "best.safetensors", "last.json"
 
 
@@ -66,4 +69,5 @@ def pack_run(run: Path, out: Path) -> None:
     net = runtime.create(record["about"]["net"], record["about"]["size"])
     net.load_state_dict(tensors)
     learned = {"steps": record["step"], "hours": round(record["seconds"] / 3600, 2), "seed": record["config"]["seed"]}
-    weights.write(out, net, {**record["about"], **learned, "validation": record["last"]})
+    searched = {"headroom": HEADROOM[name]} if (name := record["about"]["net"]) in HEADROOM else {}
+    weights.write(out, net, {**record["about"], **learned, **searched, "validation": record["last"]})

@@ -1,8 +1,8 @@
 """Training of the completion network (`priors train completion runs/mffnet-s`).
 
 The network corrects what `methods/completion.py` fills without learning. It sees crops of procedural streets, whose
-truth is dense and exact, and of real drives, where points that it is not shown are the truth. It is shown 64 to 8 scan
-lines, or random points.
+truth is dense and exact, of KITTI 2015, and of real drives, where points that it is not shown are the truth. It is
+shown one to eleven sweeps, 64 to 8 scan lines, or random points.
 """
 
 from dataclasses import dataclass, field
@@ -18,17 +18,17 @@ from priors.adapt.training_step import Batch
 from priors.draw.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
 from priors.learn import lidar_scene
-from priors.learn.accumulated_lidar import AccumulatedDrives
-from priors.learn.lidar_dropout import CompletionExample, drop_points
+from priors.learn.lidar_dropout import CompletionExample, Density, drop_points
 from priors.learn.lidar_scene import LidarScene
+from priors.learn.real_scenes import RealScenes
 from priors.learn.sample_folder import SampleFolder
 from priors.methods._completion_classical import EVERYWHERE_PX, complete
 from priors.nets.mffnet import Completed, Mffnet
 from priors.types import FloatMap, Image, Matrix
 
 CROP = (192, 448)
-VALIDATED = (1, 1, 4, 1)
-"""Every how many-th scan line is shown for validation."""
+DENSITIES = (Density(), Density(every=4), Density(every=8), Density(points=500), Density(sweeps=3), Density(sweeps=11))
+"""What is shown for validation, in turn; a scene that has one sweep is shown by the first four."""
 RELATIVE = 20
 """Weight of the relative error against the absolute one in metres: equal at 20 m."""
 HUBER_M = 5.0
@@ -46,17 +46,18 @@ class CompletionConfig:
     street: Path = Path("street")
     """Folder of samples from `priors train samples`."""
     real: Path | None = None
-    """KITTI raw drive with sweeps, or a folder whose kitti_raw_train/ holds such; never what is tested on."""
-    real_share: float = 0.4
-    """Share of the real drive's crops in a batch."""
+    """KITTI raw drive with sweeps, or a folder with such in kitti_raw_train/ and with pairs in kitti_stereo2015/;
+    never what is tested on."""
+    real_share: float = 0.55
+    """Share of real crops in a batch."""
     batch: int = 4
     """Crops in a step."""
     size: str = "m"
     """The network's size."""
     squared: float = 0.5
     """Weight of the squared error (m²) against the absolute one (m)."""
-    validation: int = 10
-    """Crops of streets validated on."""
+    validation: int = 18
+    """Street samples validated on."""
 
     def __post_init__(self) -> None:
         if not 0 <= self.real_share <= 1:
@@ -77,7 +78,7 @@ class CompletionTask:
         torch.manual_seed(0)
         self.net = Mffnet(self.config.size)
         self.samples = SampleFolder(self.config.street)
-        self.drives = None if self.config.real is None else AccumulatedDrives(self.config.real)
+        self.real = None if self.config.real is None else RealScenes(self.config.real)
         self._held_back: dict[str, list[tuple[CompletionExample, Batch]]] | None = None
 
     def batch(self, step: int, rng: np.random.Generator) -> Batch:
@@ -87,7 +88,7 @@ class CompletionTask:
             example = drop_points(self._draw_scene(rng), rng)
             if np.any(example.sparse_m > 0) and np.any(example.weight > 0):
                 image = augment(example.scene.image, rng)
-                T_cam_lidar = example.scene.T_cam_lidar if rng.random() < KNOWS_SCANNER else None
+                T_cam_lidar = example.T_cam_lidar if rng.random() < KNOWS_SCANNER else None
                 crops.append(to_batch(example, image, T_cam_lidar))
         return {name: torch.cat([crop[name] for crop in crops]) for name in crops[0]}
 
@@ -113,7 +114,7 @@ class CompletionTask:
         return fit + 0.3 * parts + 0.1 * scale, {name: value.detach() for name, value in values.items()}
 
     def validate(self, net: nn.Module) -> dict[str, float]:
-        """Return errors in metres beside those of the pre-fill; "error" is the mean ratio of the two."""
+        """Return errors in metres beside the pre-fill's, by source and density; "error" is the mean of their ratios."""
         values: dict[str, float] = {}
         for name, examples in self._validation().items():
             sums = np.zeros(8)
@@ -143,9 +144,10 @@ class CompletionTask:
         return drawn
 
     def _draw_scene(self, rng: np.random.Generator) -> LidarScene:
-        """Draw a crop of a street or of a real drive, now and then mirrored, nearer or farther."""
-        if self.drives is not None and rng.random() < self.config.real_share:
-            scene = self.drives.train[rng.integers(len(self.drives.train))]
+        """Draw a crop of a street or of a real scene, now and then mirrored, nearer or farther."""
+        if self.real is not None and rng.random() < self.config.real_share:
+            scenes = list(self.real.train.values())[rng.choice(len(self.real.train), p=self.real.shares())]
+            scene = scenes[rng.integers(len(scenes))]
         else:
             scene = lidar_scene.read_street(self.samples.train[rng.integers(len(self.samples.train))])
         scene = lidar_scene.crop(scene, *_draw_corner(scene, rng), CROP)
@@ -157,17 +159,25 @@ class CompletionTask:
         if self._held_back is None:
             paths = self.samples.validation
             every = max(1, len(paths) // self.config.validation)
-            held_back = {"street": [lidar_scene.read_street(path) for path in paths[::every]]}
-            if self.drives is not None:
-                held_back["real"] = self.drives.validation
-            self._held_back = {name: _examples(scenes) for name, scenes in held_back.items()}
+            held_back = [lidar_scene.read_street(path) for path in paths[::every]]
+            if self.real is not None:
+                held_back += [scene for scenes in self.real.validation.values() for scene in scenes]
+            self._held_back = _examples(held_back)
         return self._held_back
 
 
-def _examples(scenes: list[LidarScene]) -> list[tuple[CompletionExample, Batch]]:
-    rng = np.random.default_rng(7)
-    examples = [drop_points(scene, rng, VALIDATED[i % len(VALIDATED)]) for i, scene in enumerate(scenes)]
-    return [(one, to_batch(one, one.scene.image, one.scene.T_cam_lidar)) for one in examples]
+def _examples(scenes: list[LidarScene]) -> dict[str, list[tuple[CompletionExample, Batch]]]:
+    """Show each scene at one density; by source and density."""
+    rng, shown = np.random.default_rng(7), dict[str, int]()
+    examples: dict[str, list[tuple[CompletionExample, Batch]]] = {}
+    for scene in scenes:
+        densities = DENSITIES if scene.accumulated_m or not scene.real else DENSITIES[:4]
+        turn = shown[scene.source] = shown.get(scene.source, -1) + 1
+        density = densities[turn % len(densities)]
+        example = drop_points(scene, rng, density)
+        batch = to_batch(example, scene.image, example.T_cam_lidar)
+        examples.setdefault(f"{scene.source}_{density}", []).append((example, batch))
+    return examples
 
 
 def _run(net: nn.Module, batch: Batch) -> Completed:

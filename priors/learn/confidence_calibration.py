@@ -2,9 +2,9 @@
 
     priors train calibrate priors/weights/cfnet-s.safetensors --street samples/ --real DATA
 
-It runs the network on augmented crops of what training held back: street worlds, and labelled odometry frames where
-there are any. It fits the score and the table of nets/confidence.py on every second frame, prints how well they hold on
-the others, and writes them into the header of the weights.
+It runs the network on augmented crops of what training held back: street worlds, and labelled odometry frames and
+pairs with truth (KITTI 2015) where there are any. It fits the score and the table of nets/confidence.py on every second
+frame, prints how well they hold on the others, and writes them into the header of the weights.
 
 How much distance counts (see nets/confidence.fit) is the least that makes the area under the sparsification curve
 clearly smaller than that of dropping the farthest first, in relative error, in D1 and in squared metres, on each
@@ -23,6 +23,7 @@ from eval.calibration import calibration_error
 from priors.adapt.views import to_tensor
 from priors.learn import pair_file
 from priors.learn.eye_views import RIGHT
+from priors.learn.real_truth import KITTI2015
 from priors.learn.stereo_augment import augment
 from priors.learn.stereo_data import Folders, find_sources
 from priors.learn.stereo_pair import StereoPair
@@ -160,6 +161,7 @@ def calibrate_file(file: Path, folders: Folders, count: int = 60) -> list[str]:
         parts = {
             "street": draw_crops(held.street[start::2], count, start),
             "odometry": draw_crops(frames[start::2], count, start),
+            KITTI2015: draw_crops(held.kitti2015[start::2], count, start),
         }
         halves.append({name: collect(ready, pairs, start) for name, pairs in parts.items() if pairs})
     calibration = calibrate(list(halves[0].values()))

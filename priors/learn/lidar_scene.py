@@ -1,7 +1,7 @@
 """LiDAR scenes for training completion: an image, all LiDAR points of the moment, and the truth beside them.
 
-There are two kinds: the procedural street, whose truth is dense and exact, and a real drive, whose truth is what
-several sweeps saw, accumulated and cleaned as the official truth of KITTI is (accumulated_lidar.py).
+There are two kinds: the procedural street, whose truth is dense and exact, and real ones (real_scenes.py): KITTI 2015,
+whose truth is the benchmark's, and drives, whose truth is what several sweeps saw (accumulated_lidar.py).
 """
 
 from dataclasses import dataclass, replace
@@ -40,6 +40,10 @@ class LidarScene:
     """(h, w) 0 = unknown."""
     real: bool
     """Truth is accumulated LiDAR, sparse and with what its cleaning left over."""
+    accumulated_m: tuple[FloatMap, ...] = ()
+    """What the lidar method makes of several sweeps, (h, w) each, 0 = none: other inputs than the own points."""
+    source: str = "street"
+    """Where it comes from, for figures."""
 
 
 def read_street(path: Path) -> LidarScene:
@@ -64,6 +68,7 @@ def crop(scene: LidarScene, top: int, left: int, size: tuple[int, int]) -> Lidar
         points_m=scene.points_m[inside],
         beam=scene.beam[inside],
         truth_m=scene.truth_m[rows, columns],
+        accumulated_m=tuple(map_[rows, columns] for map_ in scene.accumulated_m),
     )
 
 
@@ -78,6 +83,7 @@ def flip(scene: LidarScene) -> LidarScene:
         T_cam_lidar=T,
         points_m=scene.points_m * np.array([-1, 1, 1], np.float32),
         truth_m=mirror_columns(scene.truth_m),
+        accumulated_m=tuple(mirror_columns(map_) for map_ in scene.accumulated_m),
     )
 
 
@@ -86,7 +92,14 @@ def rescale(scene: LidarScene, factor: float) -> LidarScene:
     T = scene.T_cam_lidar.copy()
     T[:3, 3] *= factor
     size = np.float32(factor)
-    return replace(scene, T_cam_lidar=T, points_m=scene.points_m * size, truth_m=scene.truth_m * size)
+    accumulated_m = tuple(map_ * size for map_ in scene.accumulated_m)
+    return replace(
+        scene,
+        T_cam_lidar=T,
+        points_m=scene.points_m * size,
+        truth_m=scene.truth_m * size,
+        accumulated_m=accumulated_m,
+    )
 
 
 def pixels(points_m: Points, camera: Camera) -> tuple[npt.NDArray[np.intp], Mask]:

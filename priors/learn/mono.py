@@ -2,11 +2,10 @@
 
     priors train mono runs/bts-m --street samples/ --real DATA --size m --batch 4
 
-It learns from procedural streets (dense, exact), a KITTI drive's LiDAR (sparse) and grey KITTI odometry pairs whose
-depth our classical matcher is sure of (computed once, cached in the run's folder).
+It learns from procedural streets (dense, exact), and from real views (real_views.py): KITTI 2015 and drives, by
+official truth, LiDAR and confident stereo.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,20 +13,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from priors import build, drives
 from priors.adapt.objective import loss, predict
 from priors.adapt.training_step import Batch
-from priors.adapt.views import SKY, SURFACE, UNKNOWN, LabelledView, augment_view, collate, label_sky
+from priors.adapt.views import SKY, SURFACE, UNKNOWN, LabelledView, augment_view, collate
 from priors.adapt.windows import random_crop
 from priors.codecs import as_rgb
 from priors.draw.colours import colour_depth, thicken
-from priors.drives import DriveOptions
 from priors.errors import DataError
 from priors.learn import pair_file
+from priors.learn.real_views import SHARES, RealViews
 from priors.learn.sample_folder import SampleFolder
-from priors.methods._reference import trusted
-from priors.methods.lidar import Lidar
-from priors.methods.stereo import Stereo
 from priors.nets import bts
 from priors.nets.mobile import Mobile
 from priors.types import Image
@@ -37,10 +32,6 @@ VALIDATED = 12
 """Rendered samples validated on, about."""
 SCORED_M = 80.0
 """Validation looks at depth below this."""
-HELD_OUT = {"sfnd": 4, "06": 6, "01": 6}
-"""Last frames of each real drive: for validation."""
-OFFSETS_PX = {"06": (0.0, 0.0, 1.4), "01": (0.0, 0.0, 2.4)}
-"""What the rectification of KITTI odometry's pairs is off, against depth from ego-motion (docs/methods/stereo.md)."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +41,10 @@ class MonoConfig:
     street: Path = Path("street")
     """Folder of samples from `priors train samples`."""
     data: Path | None = None
-    """Folder that holds kitti_raw_train, kitti_odometry or both; none: streets only."""
+    """Folder that holds kitti_stereo2015, kitti_raw_train, kitti_odometry or some of them; none: streets only."""
     cache: Path = Path("cache")
     """Where the stereo depth of the odometry pairs is kept."""
-    real_share: float = 0.5
+    real_share: float = 0.6
     """Share of real images in a batch."""
     batch: int = 4
     """Crops in a step."""
@@ -83,13 +74,9 @@ class MonoTask:
         self._samples = SampleFolder(self.config.street)
         validation = self._samples.validation
         self._held_out = [read_street(path) for path in validation[:: max(1, len(validation) // VALIDATED)]]
-        self._real: dict[str, list[LabelledView]] = {}
-        for view in read_real(self.config.data, self.config.cache) if self.config.data else ():
-            self._real.setdefault(view.source, []).append(view)
-        for source, count in HELD_OUT.items():
-            self._held_out += self._real.get(source, [])[-count:]
-            self._real[source] = self._real.get(source, [])[:-count]
-        self._real = {source: views for source, views in self._real.items() if views}
+        real = RealViews(self.config.data, self.config.cache) if self.config.data else None
+        self._real = {} if real is None else real.train
+        self._held_out += [] if real is None else real.validation
 
     def batch(self, step: int, rng: np.random.Generator) -> Batch:
         """Make a batch of crops."""
@@ -133,7 +120,9 @@ class MonoTask:
 
     def _draw_view(self, rng: np.random.Generator) -> LabelledView:
         if self._real and rng.random() < self.config.real_share:
-            views = self._real[sorted(self._real)[rng.integers(len(self._real))]]
+            sources = sorted(self._real)
+            weights = np.array([SHARES.get(source, 1.0) for source in sources])
+            views = self._real[sources[rng.choice(len(sources), p=weights / weights.sum())]]
             return views[rng.integers(len(views))]
         return read_street(self._samples.train[rng.integers(len(self._samples.train))])
 
@@ -145,23 +134,3 @@ def read_street(path: Path) -> LabelledView:
         raise DataError(f"{path}: a training pair without a camera: mono learns from rendered samples only")
     sky = np.where(pair.sky, SKY, SURFACE).astype(np.int8)
     return LabelledView(pair.left, pair.sensors.camera, pair.depth_m, sky, "street")
-
-
-def read_real(data: Path, cache: Path) -> Iterator[LabelledView]:
-    """Read the training drives: LiDAR of the slow colour drive, confident stereo of the grey odometry runs."""
-    lidar, folder = Lidar(sweeps=1), data / "kitti_raw_train" / "2011_09_26" / "2011_09_26_drive_sfnd_sync"
-    slow = drives.open_drive(folder) if folder.is_dir() else ()
-    for index in range(len(slow)):
-        frame = slow[index]
-        image, depth_m = frame.image(), lidar(frame).depth_m
-        yield LabelledView(image, frame.camera, depth_m, label_sky(image, depth_m), "sfnd")
-    for sequence, offset_px in OFFSETS_PX.items() if (data / "kitti_odometry").is_dir() else ():
-        drive = drives.open_drive(data / "kitti_odometry", options=DriveOptions(drive=sequence))
-        prior = build.prepare(drive, Stereo(offset_px=offset_px), folder=cache).run().prior
-        for index, id_ in enumerate(drive.ids):
-            frame = drive[index]
-            image, depth = frame.image(), prior.read(id_)
-            depth_m = trusted(depth, image)
-            sky = label_sky(image, depth_m)
-            sky[(trusted(depth) > 0) & (depth_m == 0)] = UNKNOWN  # matched sky, or a bright wall taken for sky
-            yield LabelledView(image, frame.camera, depth_m, sky, sequence)

@@ -1,9 +1,10 @@
-"""Training and validation data of stereo networks: the street, pairs made of single real images, labelled real pairs.
+"""Training and validation data of stereo networks: real pairs with truth or labels, the street, warped single images.
 
     folders = Folders(Path("samples"), real=Path("../shared/data"))
     pair = mixture(folders)(np.random.default_rng([seed, step]))
 
-Held back from training: every tenth world of the street, the real drives' frames 0, 10, 20 ...
+Held back from training: every tenth world of the street, the odometry's frames 0, 10, 20 ..., and of the frames with
+truth what priors/held_back.py says.
 """
 
 from collections.abc import Callable, Sequence
@@ -21,6 +22,7 @@ from priors.adapt.views import to_tensor
 from priors.learn import pair_file, stereo_augment, warp
 from priors.learn.eye_views import RIGHT
 from priors.learn.pseudo_labels import label_drives
+from priors.learn.real_truth import DRIVE, KITTI2015, label_frames, label_held_back
 from priors.learn.sample_folder import SampleFolder
 from priors.learn.stereo_augment import REAL, RENDERED
 from priors.learn.stereo_pair import StereoPair, crop
@@ -29,6 +31,8 @@ from priors.learn.warp_scenes import CAMVID, SLOW_NAME, make_scenes
 Draw = Callable[[np.random.Generator], StereoPair]
 SHARES = {"street": 0.55, "warped": 0.25, "odometry": 0.2}
 """Of what is drawn; a source that is not there leaves its share to the others."""
+SHARES_WITH_TRUTH = {"street": 0.33, "warped": 0.08, "odometry": 0.11, KITTI2015: 0.4, DRIVE: 0.08}
+"""The same where there are real pairs with truth."""
 LEAST_KNOWN = 0.1
 """Share of a crop that must be known; what has less is drawn again."""
 ATTEMPTS = 5
@@ -64,6 +68,18 @@ class Sources:
     """CamVid's."""
     odometry: Sequence[Path] = ()
     """Labelled pairs."""
+    kitti2015: Sequence[Path] = ()
+    """Pairs with official truth."""
+    drive0009: Sequence[Path] = ()
+    """Pairs with accumulated sweeps."""
+
+    def drawn(self) -> dict[str, Sequence[Path]]:
+        """Return what there is to draw from, by the names of SHARES."""
+        warped = [*self.kitti, *self.camvid]
+        named = {"street": self.street, "warped": warped, "odometry": self.odometry}
+        return {
+            name: paths for name, paths in (named | {KITTI2015: self.kitti2015, DRIVE: self.drive0009}).items() if paths
+        }
 
 
 def find_sources(folders: Folders) -> tuple[Sources, Sources]:
@@ -77,7 +93,10 @@ def find_sources(folders: Folders) -> tuple[Sources, Sources]:
     camvid = [path for path in scenes if path.stem.startswith(CAMVID)]
     kitti, kitti_held = split_frames([path for path in scenes if not path.stem.startswith(CAMVID)])
     pairs, pairs_held = split_frames(labelled)
-    return Sources(samples.train, kitti, camvid, pairs), Sources(samples.validation, kitti_held, (), pairs_held)
+    true = label_frames(folders.real, cache / "truth")
+    true_held = label_held_back(folders.real, cache / "truth")
+    train = Sources(samples.train, kitti, camvid, pairs, true.get(KITTI2015, ()), true.get(DRIVE, ()))
+    return train, Sources(samples.validation, kitti_held, (), pairs_held, true_held)
 
 
 def split_frames(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
@@ -92,9 +111,10 @@ def split_frames(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 def mixture(folders: Folders, size: tuple[int, int] = (256, 512)) -> Draw:
     """Return what draws a training pair, augmented and cropped to size; it follows from the generator's state alone."""
     train, _ = find_sources(folders)
-    present = {"street": train.street, "warped": [*train.kitti, *train.camvid], "odometry": train.odometry}
-    names = [name for name in SHARES if present[name]]
-    shares = np.array([SHARES[name] for name in names])
+    present = train.drawn()
+    wanted = SHARES_WITH_TRUTH if KITTI2015 in present or DRIVE in present else SHARES
+    names = [name for name in wanted if name in present]
+    shares = np.array([wanted[name] for name in names])
 
     def draw(rng: np.random.Generator) -> StereoPair:
         source = names[rng.choice(len(names), p=shares / shares.sum())]
@@ -117,17 +137,16 @@ def validation(folders: Folders, count: int = 24, warped: int = 2) -> list[Stere
         warped: how many pairs made of the training drive's colour images.
 
     Returns:
-        The street's pairs, then one for each held-back odometry frame, then the warped ones.
+        The street's pairs, then one for each held-back odometry frame and each pair with truth, then the warped ones.
     """
     _, held = find_sources(folders)
     pairs = [pair_file.read(path) for path in pick_evenly(held.street, count)]
     pairs += [pair_file.read(path) for path in held.odometry if not path.stem.endswith(RIGHT)]
+    pairs += [_even(pair_file.read(path)) for path in held.kitti2015]
     slow = pick_evenly([path for path in held.kitti if path.stem.startswith(SLOW_NAME)], warped)
     for number, path in enumerate(slow):
         filler = pair_file.read_left(slow[number - 1])[::-1]
-        pair = warp.warp(pair_file.read_disparity_image(path), np.ascontiguousarray(filler))
-        height, width = pair.sky.shape
-        pairs.append(crop(pair, 0, 0, (height - height % MULTIPLE, width - width % MULTIPLE)))
+        pairs.append(_even(warp.warp(pair_file.read_disparity_image(path), np.ascontiguousarray(filler))))
     return pairs
 
 
@@ -148,11 +167,15 @@ def collate(pairs: Sequence[StereoPair]) -> Batch:
     }
 
 
+def _even(pair: StereoPair) -> StereoPair:
+    """Cut off what is beyond a multiple of MULTIPLE."""
+    height, width = pair.sky.shape
+    return crop(pair, 0, 0, (height - height % MULTIPLE, width - width % MULTIPLE))
+
+
 def _draw_pair(sources: Sources, source: str, rng: np.random.Generator, size: tuple[int, int]) -> StereoPair:
-    if source == "street":
-        return pair_file.read(_draw_path(sources.street, rng))
-    if source == "odometry":
-        return pair_file.read(_draw_path(sources.odometry, rng))
+    if source != "warped":
+        return pair_file.read(_draw_path(sources.drawn()[source], rng))
     groups = [group for group in (sources.kitti, sources.camvid) if group]
     group = groups[0] if rng.random() < KITTI_SHARE else groups[-1]
     scene = pair_file.read_disparity_image(_draw_path(group, rng))

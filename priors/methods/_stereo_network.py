@@ -23,6 +23,8 @@ RANGE_STEP_PX = 32
 """Networks search a multiple of this many disparities."""
 MOST_PIXELS, MOST_DISPARITY_PX = 1_500_000, 320
 """Larger pairs are halved first, as often as needed: KITTI has 0.47 million pixels, Argoverse's pair 5 million."""
+HEADROOM = "headroom"
+"""Entry of a header: how far beyond the scene's largest disparity the network searches; without it, no farther."""
 LEAST_PX = 1e-3
 """Disparities are at least this, so that every pixel has a value."""
 LEAST_CONTRAST = 2
@@ -38,6 +40,8 @@ class NetworkMatcher:
     """Called with the pair (1, 3, h, w), as `take` makes it, and the disparities to search; returns disparity,
     sigma (px) and doubt, each (h, w)."""
     calibration: ConfidenceCalibration
+    headroom: float = 1.0
+    """What the largest disparity that a scene needs is multiplied by: networks fail near the end of their search."""
     take: Callable[[Image], Tensor] = runtime.as_bytes
     """How an image becomes what `run` takes."""
 
@@ -78,18 +82,18 @@ def _open(network: Network, path: Path, _digest: str) -> NetworkMatcher:
     if path.suffix == ".onnx":
         graph = Graph(path)
         calibration = ConfidenceCalibration.read(graph.about)
-        return NetworkMatcher(lambda left, right, largest_px: graph(left, right), calibration, runtime.as_input)
+        return NetworkMatcher(lambda left, right, largest_px: graph(left, right), calibration, take=runtime.as_input)
     chosen = network.decide()
     ready = runtime.open_net(network.model, network.size, chosen, path)
-    calibration = ConfidenceCalibration.read(ready.about)
+    calibration, headroom = ConfidenceCalibration.read(ready.about), float(ready.about.get(HEADROOM, 1.0))
     if chosen == "onnx":
-        return NetworkMatcher(Graphs(ready), calibration, runtime.as_input)
+        return NetworkMatcher(Graphs(ready), calibration, headroom, runtime.as_input)
 
     def run(left: Tensor, right: Tensor, largest_px: int) -> tuple[FloatMap, FloatMap, FloatMap]:
         out = ready(left, right, largest_px=largest_px)
         return runtime.as_map(out.disparity_px), runtime.as_map(out.sigma_px), runtime.as_map(out.doubt)
 
-    return NetworkMatcher(run, calibration)
+    return NetworkMatcher(run, calibration, headroom)
 
 
 def busy(left: Image, right: Image) -> tuple[slice, slice]:

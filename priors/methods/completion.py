@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from eval.calibration import Tolerance
 from priors.errors import DataError, UsageError, expect, expect_between, expect_choices
@@ -17,6 +17,8 @@ from priors.types import Camera, Depth, FloatMap, Frame, Image, Input, Matrix, M
 
 FARTHEST_PX = 1 << 16
 """No image is that large: every pixel is reached."""
+GENTLE = 2 / 3
+"""Size of the lidar method's windows, as a share of its own, where samples are to be filled."""
 
 
 @dataclass(frozen=True)
@@ -27,6 +29,9 @@ class Completion(Method):
     """Where the samples come from: the data set's own sparse maps, or the lidar method; auto: the former if there."""
     lidar: Lidar = field(default_factory=Lidar)
     """The lidar method's settings, where it is the source."""
+    cleaning: Literal["gentle", "full"] = "gentle"
+    """How the lidar method's test of occlusion looks for nearer surfaces. gentle: in smaller windows, which leave more
+    samples at outlines, and for a single sweep with the scanner's place; full: as for its own maps."""
     guidance: float = 1.0
     """How much the image's brightness decides which sample a pixel follows; 0: only distance does."""
     reach_px: int = 64
@@ -42,6 +47,7 @@ class Completion(Method):
 
     VERSION: ClassVar[int] = 0 + Lidar.VERSION
     """Raised with lidar's, whose maps it fills: a sum, so that either makes a new one."""
+    BEFORE: ClassVar[Mapping[str, Any]] = {"cleaning": "full"}
 
     def __post_init__(self) -> None:
         expect_choices(self, "completion.")
@@ -72,7 +78,9 @@ class Completion(Method):
     def unread(self) -> Mapping[str, str]:
         """Return the fields that these settings leave without effect: those of a network, and the lidar method's."""
         unread = {} if self.network else dict.fromkeys(("size", "runtime"), "--completion.model mffnet")
-        return unread | ({"lidar": "--completion.source lidar"} if self.source == "velodyne_raw" else {})
+        if self.source == "velodyne_raw":
+            unread |= dict.fromkeys(("lidar", "cleaning"), "--completion.source lidar")
+        return unread
 
     @threads.limited(None)
     def resolve(self, frame: Frame) -> Self:
@@ -81,6 +89,8 @@ class Completion(Method):
         if source == "auto":
             source = "velodyne_raw" if frame.has("sparse") else "lidar"
         resolved = replace(self, source=source, lidar=self.lidar.resolve(frame))
+        if source == "velodyne_raw" or not (resolved.lidar.occlusion or resolved.lidar.sweeps == 1):
+            resolved = replace(resolved, cleaning="full")  # it decides nothing
         network = self.network
         if network is None:
             return replace(resolved, size=type(self).size, runtime=type(self).runtime)  # they decide nothing
@@ -99,12 +109,20 @@ class Completion(Method):
         Raises DataError where the drive has neither sparse maps nor a LiDAR, or the network's weights are missing.
         """
         config = self.resolve(frame)
-        from_maps = config.source == "velodyne_raw"
-        sparse_m = (frame.sparse() if from_maps else config.lidar(frame)).depth_m
-        # What the lidar method accumulates was seen from many places, and is cleaned of what the camera does not see.
-        T_cam_lidar = frame.T_cam_lidar if from_maps else None
-        image = frame.image()
+        image, (sparse_m, T_cam_lidar) = frame.image(), config._samples(frame)
         return doubt(config.fill(sparse_m, image, frame.camera, T_cam_lidar), sky_mask(image))
+
+    def _samples(self, frame: Frame) -> tuple[FloatMap, Matrix | None]:
+        """Return the sparse map, and where its scanner stood; None where that is of no use.
+
+        What several sweeps saw was seen from many places; it is cleaned of what the camera does not see.
+        """
+        if self.source == "velodyne_raw":
+            return frame.sparse().depth_m, frame.T_cam_lidar
+        if self.cleaning == "full":
+            return self.lidar(frame).depth_m, None
+        T_cam_lidar = frame.T_cam_lidar if self.lidar.sweeps == 1 else None
+        return self.lidar.look(frame, GENTLE).depth_m, T_cam_lidar
 
     def fill(self, sparse_m: FloatMap, image: Image, camera: Camera, T_cam_lidar: Matrix | None = None) -> Depth:
         """Fill a sparse map (height, width), metres, as `complete` does; a network, if there is one, corrects it.

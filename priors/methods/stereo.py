@@ -3,24 +3,27 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 
 from eval.calibration import Tolerance
 from priors.codecs import FARTHEST_M
-from priors.errors import UsageError, expect, expect_between, expect_choices
+from priors.errors import DataError, UsageError, expect, expect_between, expect_choices
 from priors.machine import threads
+from priors.methods import _stereo_choice
 from priors.methods import _stereo_classical as classical
 from priors.methods._network import Network
 from priors.pairs.matching import largest_disparity, match, quarter_match
 from priors.pairs.read import Pair, baseline, find_range, measure_rectification, read_pair
 from priors.pairs.rectification import NONE, RectificationError
+from priors.pairs.rows import measure_rows, raise_rows
 from priors.sky import doubt, rows_below, sky_mask
 from priors.types import Depth, FloatMap, Frame, Image, Input, Method
 
 CALIBRATING_CONFIDENCE = 0.9
 """Confidence of a network's pixels that the rectification error is measured on."""
+MOST_ROWS_PX = 100
 LARGEST_DISPARITY_PX = 1 << 16
 """No image is that wide; each pair's own width bounds the search further."""
 
@@ -33,8 +36,9 @@ class Stereo(Method):
     is right within 1 m; a network's is the probability that its disparity is right within 1 px, and 0 beyond 250 m.
     """
 
-    model: Literal["classical", "cfnet", "pcwnet"] = "classical"
-    """classical: semi-global matching, smoothed and filled by what the image says; the others are networks."""
+    model: Literal["auto", "classical", "cfnet", "pcwnet"] = "classical"
+    """classical: semi-global matching, smoothed and filled by what the image says; the others are networks. auto: the
+    most accurate that is fast enough here: cfnet on GPUs and on CPUs with tiles, bf16 or VNNI, else classical."""
     size: Literal["s", "m", "l"] = "s"
     """Of a network: small is faster, large is better."""
     runtime: Literal["auto", "bf16", "fp32", "int8", "cuda", "onnx"] = "auto"
@@ -50,17 +54,23 @@ class Stereo(Method):
     rig's pairs usually have (KITTI), else 0. Give 0 0 0 for depth from the images alone."""
     scale: float | None = None
     """Scale of the disparity, see offset-px. Default: measured with it; 1 where the offset is given."""
+    rows_px: float | None = None
+    """How many rows the other image lies too low, px, negative where too high: it is shifted back. Default: measured on
+    the drive's first pair, and left as it is below 0.75 px."""
 
     VERSION: ClassVar[int] = 1
+    BEFORE: ClassVar[Mapping[str, Any]] = {"rows_px": None}
 
     def __post_init__(self) -> None:
         expect_choices(self, "stereo.")
         expect_between(1, self.max_disparity_px, LARGEST_DISPARITY_PX, "--stereo.max-disparity-px")
-        if self.model == "classical" and self.weights is not None:
+        if self.model in ("auto", "classical") and self.weights is not None:
             raise UsageError(f"--stereo.weights {self.weights}: which network is it of? Name it by --stereo.model")
         given = self.offset_px or ()
         expect(len(given) <= 4, "--stereo.offset-px", _words(given), "at most 4 numbers: shift, tilt, yaw, pitch")
         expect(bool(np.isfinite(given).all()), "--stereo.offset-px", _words(given), "finite numbers")
+        told = self.rows_px is None or abs(self.rows_px) <= MOST_ROWS_PX
+        expect(told, "--stereo.rows-px", self.rows_px, f"from -{MOST_ROWS_PX} to {MOST_ROWS_PX}")
         if self.scale is not None:
             known = self.offset_px is not None and 0.5 < self.scale < 2
             expect(known, "--stereo.scale", self.scale, "about 1, and --stereo.offset-px beside it")
@@ -73,11 +83,16 @@ class Stereo(Method):
     @property
     def network(self) -> Network | None:
         """Return the network that matches; None for the classical method."""
-        return None if self.model == "classical" else Network(self.model, self.size, self.runtime, self.weights)
+        model = self.decide_model()
+        return None if model == "classical" else Network(model, self.size, self.runtime, self.weights)
+
+    def decide_model(self) -> Literal["classical", "cfnet", "pcwnet"]:
+        """Return the model; auto is what suits this machine."""
+        return _stereo_choice.choose(self.size) if self.model == "auto" else self.model
 
     def unread(self) -> Mapping[str, str]:
         """Return the fields that these settings leave without effect: those of a network, of an ONNX file its size."""
-        if self.model == "classical":
+        if self.decide_model() == "classical":
             return dict.fromkeys(("size", "runtime"), "--stereo.model cfnet or pcwnet")
         own = self.weights is not None and self.weights.suffix == ".onnx"
         return {"size": "weights that are no .onnx"} if own else {}
@@ -107,11 +122,13 @@ class Stereo(Method):
         width, most_px = frame.camera.size[1], self.max_disparity_px
         fits = most_px is None or most_px < width
         expect(fits, "--stereo.max-disparity-px", most_px, f"less than the image's width, {width} pixels")
-        network = self.network
+        network, model = self.network, self.decide_model()
         if network is None:
-            resolved = replace(self, size=type(self).size, runtime=type(self).runtime)  # they decide nothing
+            undecided = type(self)()  # size and runtime decide nothing
+            resolved = replace(self, model=model, size=undecided.size, runtime=undecided.runtime)
         else:
-            resolved = replace(self, runtime=network.decide())
+            resolved = replace(self, model=model, runtime=network.decide())
+        resolved = replace(resolved, rows_px=resolved._measure_rows(frame))
         given = self.offset_px is not None
         error = self.rectification if given else measure_rectification(frame, resolved._match_confidently)
         return replace(resolved, offset_px=error.offset_px, scale=error.scale)
@@ -122,13 +139,20 @@ class Stereo(Method):
 
     def notes(self) -> list[str]:
         """Say what the disparity is corrected by, if it is."""
-        error = self.rectification
+        error, told = self.rectification, []
+        if self.rows_px:
+            way = "low" if self.rows_px > 0 else "high"
+            told = [
+                f"stereo: the other image lies {abs(self.rows_px):.1f} rows too {way}: it is shifted back; "
+                "rectify the pair anew (priors check); --stereo.rows-px 0 leaves it as it is"
+            ]
         if error == NONE:
-            return []
+            return told
         return [
+            *told,
             f"stereo: corrects the pair's rectification error: disparity times {error.scale:.3f}, "
             f"shift {error.shift_px:+.2f} px, tilt {error.tilt_px:+.2f} px, yaw {error.yaw_px:+.2f} px, "
-            f"pitch {error.pitch_px:+.2f} px (docs/methods/stereo.md); --stereo.offset-px 0 0 0 leaves it uncorrected"
+            f"pitch {error.pitch_px:+.2f} px (docs/methods/stereo.md); --stereo.offset-px 0 0 0 leaves it uncorrected",
         ]
 
     @threads.limited(None)
@@ -139,8 +163,8 @@ class Stereo(Method):
         in size, and where left and right are swapped.
         """
         fx_baseline = frame.camera.fx * baseline(frame)
-        pair = read_pair(frame)
-        needed_px = find_range(frame, pair)
+        pair = self._level(read_pair(frame))
+        needed_px = self._search_beyond(find_range(frame, pair))
         sky = sky_mask(pair.left)
         disparity_px, trust = self._match_ground(pair, rows_below(sky), self.max_disparity_px or needed_px)
         disparity_px, trust = pair.restore(disparity_px), pair.restore(trust)
@@ -156,6 +180,15 @@ class Stereo(Method):
             matched &= ~beyond  # the disparity of the sky may be right, but its depth is not known
         return doubt(Depth(depth_m, np.where(matched, trust, np.float32(0))), pair.restore(sky))
 
+    def _search_beyond(self, needed_px: int) -> int:
+        """Return how far to search where the scene needs so much, px: a network's header says how far beyond."""
+        network = self.network
+        if network is None:
+            return needed_px
+        from priors.methods._stereo_network import open_matcher
+
+        return round(open_matcher(network).headroom * needed_px)
+
     def _match_ground(self, pair: Pair, rows: slice, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
         """Match these rows of a pair; the others have no disparity. Returns what `_match` does, (height, width)."""
         size = pair.left.shape[:2]
@@ -165,11 +198,26 @@ class Stereo(Method):
 
     def _match_confidently(self, left: Image, right: Image) -> FloatMap:
         """Return the disparity, px, where it is most likely right, 0 elsewhere: to measure the rectification on."""
+        right = right if not self.rows_px else raise_rows(right, self.rows_px)
         if self.network is None:
             return match(left, right, self.max_disparity_px)
-        most_px = self.max_disparity_px or largest_disparity(quarter_match(left, right), left.shape[1])
+        needed_px = largest_disparity(quarter_match(left, right), left.shape[1])
+        most_px = self.max_disparity_px or self._search_beyond(needed_px)
         disparity_px, confidence = self._match(left, right, most_px)
         return np.where(confidence > CALIBRATING_CONFIDENCE, disparity_px, np.float32(0))
+
+    def _measure_rows(self, frame: Frame) -> float | None:
+        """Return the pair's offset of rows, if it has one that was not given; None where it is as it should be."""
+        if self.rows_px is not None or not frame.has("other"):
+            return self.rows_px
+        try:
+            return measure_rows(read_pair(frame))
+        except DataError:  # the frame says itself what is wrong with its pair
+            return None
+
+    def _level(self, pair: Pair) -> Pair:
+        """Return a pair whose rows match."""
+        return pair if not self.rows_px else replace(pair, right=raise_rows(pair.right, self.rows_px))
 
     def _match(self, left: Image, right: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
         """Return disparity and the error to expect of it, px; of a network, disparity and confidence."""

@@ -32,10 +32,20 @@ def table() -> dict[str, Any]:
 
 def fastest(mode: Mode, net: str | None, *, integers: bool = False) -> OnCpu:
     """Return what runs a network fastest on CPUs of a mode; `integers`: int8 can run it."""
-    measured = table()["modes"].get(mode, {}).get("ratios", {}).get(net, {})
-    there = {"bf16": True, "fp32": True, "int8": integers, "onnx": True}
-    here = {runtime: ratio for runtime, ratio in measured.items() if there[runtime]}
+    here = _measured(mode, net, integers)
     if not here:
         return "bf16" if mode in FAST_BF16 else "fp32"
-    best: OnCpu = min(here, key=lambda runtime: float(here[runtime]) * (GRAPH_MUST_GAIN if runtime == "onnx" else 1))
+    best: OnCpu = min(here, key=lambda runtime: here[runtime] * (GRAPH_MUST_GAIN if runtime == "onnx" else 1))
     return best
+
+
+def times(mode: Mode, net: str, *, integers: bool = False) -> float | None:
+    """Return how many times SGBM's time a network takes, run as `fastest` says; None where nobody measured it."""
+    return _measured(mode, net, integers).get(fastest(mode, net, integers=integers))
+
+
+def _measured(mode: Mode, net: str | None, integers: bool) -> dict[OnCpu, float]:
+    """Return the time of each runtime that can run a network, in SGBM's times."""
+    ratios = table()["modes"].get(mode, {}).get("ratios", {}).get(net, {})
+    there = {"bf16": True, "fp32": True, "int8": integers, "onnx": True}
+    return {runtime: float(ratio) for runtime, ratio in ratios.items() if there[runtime]}

@@ -107,7 +107,7 @@ def errors(streets: list[Path]) -> dict[str, Any]:
     found: dict[str, list[dict[str, float]]] = {}
     for street in streets:
         drive = open_drive(street)
-        judged = judge(drive, None, 6, preset("paper"), None)
+        judged = judge(drive, range(len(drive)), 6, preset("paper"), None)
         for entrant in entrants.field_size(["auto"]):
             make = entrant.method.resolve(drive[0])
             for index in judged.frames:

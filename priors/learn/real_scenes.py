@@ -1,0 +1,64 @@
+"""The real scenes that completion learns from: KITTI 2015 with its own truth, and KITTI raw drives with sweeps.
+
+| source    | truth                                                              | validated on               |
+|-----------|--------------------------------------------------------------------|----------------------------|
+| kitti2015 | the benchmark's disparity, cars as models of their kind, as depth  | what priors/held_back says |
+| a drive   | accumulated sweeps                                                 | its first frames           |
+
+A drive with held-back frames trains on all others.
+"""
+
+from pathlib import Path
+
+from priors.drives.kitti_raw import KittiRaw
+from priors.errors import DataError
+from priors.held_back import training_frames
+from priors.learn.accumulated_lidar import own_scene, scenes_of
+from priors.learn.lidar_scene import LidarScene
+from priors.learn.real_truth import KITTI2015, RealTruth
+from priors.types import Frame
+
+HELD_OUT = 4
+"""First frames of a drive of which nothing is held back: for validation."""
+SHARES = {KITTI2015: 3.0}
+"""How often a source is drawn from, where not once: the others have a single place each."""
+
+
+class RealScenes:
+    """Scenes by source, held in memory."""
+
+    def __init__(self, folder: Path) -> None:
+        """Take a drive's folder, or one whose kitti_raw_train/ holds drives, and kitti_stereo2015/ pairs with sweeps.
+
+        Raises DataError where there is neither.
+        """
+        self.train: dict[str, list[LidarScene]] = {}
+        self.validation: dict[str, list[LidarScene]] = {}
+        pairs = RealTruth(folder)
+        if scenes := _with_truth(pairs.frames.get(KITTI2015, [])):
+            self.train[KITTI2015], self.validation[KITTI2015] = scenes, _with_truth(pairs.held_back)
+        drives = sorted((folder / "kitti_raw_train").glob("*/*_sync"))
+        for path in drives or ([] if self.train else [folder]):
+            self._read_drive(path)
+
+    def shares(self) -> list[float]:
+        """Return how often each source of `train` is drawn from; the sum is 1."""
+        weights = [SHARES.get(source, 1.0) for source in self.train]
+        return [weight / sum(weights) for weight in weights]
+
+    def _read_drive(self, path: Path) -> None:
+        drive = KittiRaw(path)
+        name, frames = drive.name, training_frames(drive)
+        held_out = HELD_OUT if len(frames) == len(drive) else 0
+        if len(frames) <= held_out:
+            raise DataError(f"{path}: {len(frames)} frames to learn from: completion needs more than {held_out}")
+        scenes = scenes_of(frames, name)
+        self.train[name] = scenes[held_out:]
+        if held_out:
+            self.validation[name] = scenes[:held_out]
+
+
+def _with_truth(frames: list[Frame]) -> list[LidarScene]:
+    """Make scenes of the frames that have both a sweep and truth."""
+    whole = [frame for frame in frames if frame.has("sweep") and frame.has("truth")]
+    return [own_scene(frame, frame.truth().depth_m, KITTI2015) for frame in whole]
