@@ -113,7 +113,7 @@ class Prior:
         written = _written(entry)
         for kind in self._kinds(frame_id, entry):
             path = self.path(kind, frame_id)
-            if f"{kind}/{path.name}" not in self._stored and not _is_whole(path, written.get(kind, {}).get("bytes")):
+            if not self._is_there(path, written.get(kind, {}).get("bytes")):
                 return f"{kind}/{path.name}: " + ("half written" if path.exists() else "no such file")
         return None
 
@@ -173,13 +173,15 @@ class Prior:
         if self.store is None:
             return
         paths = [self.path(kind, frame_id) for kind in others]
-        for path in paths:
-            self.store.put(path)
-        self.store.add_line(self.folder, line)
-        self.store.put(self.depth_path(frame_id))
-        for path in [*paths, self.depth_path(frame_id)]:
-            self._stored.add(f"{path.parent.name}/{path.name}")
-            path.unlink()
+        try:
+            for path in paths:
+                self.store.put(path)
+            self.store.add_line(self.folder, line)
+            self.store.put(self.depth_path(frame_id))
+            self._stored.update(f"{path.parent.name}/{path.name}" for path in [*paths, self.depth_path(frame_id)])
+        finally:
+            for path in [*paths, self.depth_path(frame_id)]:
+                path.unlink(missing_ok=True)
 
     def drop_stale(self) -> None:
         """Delete temporary files that a kill left behind, once no other machine can still be writing them."""
@@ -227,6 +229,12 @@ class Prior:
                 found = " and ".join(map(str, (values.shape, size)))
                 raise DamagedError(f"{self.path(kind, frame_id)}: sizes differ, {found}: {self._mend}")
         return Depth(maps["depth"], maps.get("confidence"), maps.get("consistency"))
+
+    def _is_there(self, path: Path, size: Any) -> bool:
+        """Tell whether a map is there and whole, without reading it: in the store where there is one."""
+        if self.store is not None:
+            return f"{path.parent.name}/{path.name}" in self._stored
+        return _is_whole(path, size)
 
     def _bytes(self, path: Path) -> bytes:
         """Read a file of the folder, or of the store where it is not here."""
