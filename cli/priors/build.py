@@ -19,6 +19,7 @@ from cli.priors.many import Asked, build_many, is_asked
 from priors import build, methods
 from priors.bench.budget import Budget
 from priors.build import BuildReport, Job, Plan
+from priors.build.chains import MOST
 from priors.cache import load
 from priors.cache.manifest import NewerFormatError
 from priors.drives import poses_of
@@ -42,6 +43,7 @@ examples:
   priors build street/ --method mono --mono.adapt lidar       fine-tune on the drive first, a minute or two
   priors build street/ --method stereo --keep 0.9228          keep the most confident 92.28 %
   priors build street/ --method stereo --shard 3/8            the third of eight machines
+  priors build street/ --method stereo --reuse 4              a map in four is made whole: half the time
   priors build street/ --method lidar --dry-run               what would be computed, what not and why
   priors build streets/* kitti/ drives.txt --method lidar     many drives: folders, patterns, lists
   priors build drives.parquet --method stereo --engine ray --address auto      on a Ray cluster
@@ -62,8 +64,11 @@ class BuildArguments(ThreadArguments, SequenceArguments):
     """Where the maps go."""
     selection: tyro.conf.OmitArgPrefixes[Selection] = field(default_factory=Selection)
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
+    reuse: int = 1
+    """Make every N-th map whole, and the N - 1 after it of the one before: moved by the poses, checked against the
+    pair, made whole where that fails. For stereo, where frames lie close together; 1: make all whole."""
     workers: int = 2
-    """Frames computed at the same time."""
+    """Frames computed at the same time; with --reuse, chains of N frames."""
     dry_run: bool = False
     """List what would be computed and what is skipped and why; compute nothing."""
     more: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[DATA ...]")] = ()
@@ -73,6 +78,7 @@ class BuildArguments(ThreadArguments, SequenceArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         expect_between(1, self.workers, MOST_THREADS, "--workers")
+        expect_between(1, self.reuse, MOST, "--reuse")
         if self.budget is not None:
             Budget.parse(self.budget)
         self.chosen()
@@ -133,7 +139,8 @@ def _build_many(args: BuildArguments, typed: list[str]) -> int:
     chosen = args.chosen()
     usual = DriveEntry(Path(), args.dataset, args.part, chosen.frames)
     command = shlex.join(["priors", "build", *typed])
-    asked = Asked(args.names, usual, args.filters, args.cache, chosen, args.workers, args.engine, command)
+    where = args.cache, chosen, args.workers
+    asked = Asked(args.names, usual, args.filters, *where, args.engine, args.reuse, command)
     return build_many(asked, choose)
 
 
@@ -141,7 +148,7 @@ def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
     """Open the drive, decide what is left open, and find out what is to be computed."""
     drive = args.open(["priors", "build", *typed])
     indices = select(drive.ids, args.chosen().frames)  # wrong frames are told before anything is compiled
-    job = build.prepare(drive, _settings(args, drive, indices, typed), args.filters, args.cache)
+    job = build.prepare(drive, _settings(args, drive, indices, typed), args.filters, args.cache, args.reuse)
     for flag, reader in _unread_flags(job.method, typed).items():
         err.print(f"{flag}: not used here: it is read with {reader}")
     _tell_of_unused(job)
@@ -245,6 +252,8 @@ def _print_summary(report: BuildReport) -> None:
     )
     out.print(table)
     _print_repaired(report)
+    if report.carried:
+        out.print(f"{len(report.carried)} of the built were made of the frame before, the others whole")
     too_far = sum(line["too_far"] for line in report.built)
     if too_far:
         out.print(f"{too_far} values lie beyond 255.99 m, the most the format holds: left without a value")

@@ -36,13 +36,15 @@ class Asked:
     workers: int
     """Frames computed at the same time."""
     engine: EngineArguments
+    reuse: int
+    """How many frames share one map that is made whole."""
     command: str
     """As typed."""
 
     def order(self, member: Member) -> Order:
         """Return what is to be built of a drive."""
         selection = replace(self.selection, frames=member.entry.frames)
-        return Order(member.entry, member.method, self.filters, self.cache, selection)
+        return Order(member.entry, member.method, self.filters, self.cache, selection, self.reuse)
 
 
 def is_asked(names: Sequence[Path], engine: str) -> bool:

@@ -5,7 +5,7 @@ Nothing here knows Ray: planner and builder are called with plain values, and co
 
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -62,8 +62,14 @@ def plan_drive(number: int, order: Order, size: int) -> Iterator[Part | Stretch]
         return
     yield Part.of_plan(number, job.prior, plan)
     decided = job.method, job.prior.folder, job.prior.manifest, job.distrust
-    for first in range(0, len(plan.todo), size):
-        yield Stretch(number, *decided, plan.todo[first : first + size])
+    indices: list[int] = []
+    for chain in job.chains.group(plan.todo):  # frames that are made of each other stay together
+        indices += chain
+        if len(indices) >= size:
+            yield Stretch(number, *decided, indices)
+            indices = []
+    if indices:
+        yield Stretch(number, *decided, indices)
 
 
 class Builder:
@@ -82,11 +88,12 @@ class Builder:
             except (DataError, OSError) as error:
                 failed = {f"position {index}": str(error) for index in stretch.indices}
                 return Part(stretch.drive, done=len(failed), failed=failed)
-            ids = [work.drive.ids[index] for index in stretch.indices]
+            ids = [work.chains.drive.ids[index] for index in stretch.indices]
             try:
                 work.do(stretch.indices, self.workers, lambda line: None)
-            except OSError as error:  # a full disk, a file server that is gone
-                work.failed.update({id_: told(error) for id_ in ids if not work.prior.has(id_)})
+            except Exception as error:  # a full disk, a fault of ours: the drives' other frames must go on
+                why = told(error) if isinstance(error, OSError) else f"{type(error).__name__}: {error}"
+                work.failed.update({id_: why for id_ in ids if not work.prior.has(id_)})
         failed = {id_: work.failed[id_] for id_ in ids if id_ in work.failed}
         return Part.of_frames(stretch.drive, work.prior, [id_ for id_ in ids if id_ not in failed], failed)
 
@@ -95,9 +102,10 @@ class Builder:
         if stretch.drive not in self._open:
             drive = self.orders[stretch.drive].open()
             prior = Prior(stretch.folder, stretch.manifest)
-            job = Job(drive, stretch.method, self.orders[stretch.drive].filters, prior, stretch.distrust)
+            order = self.orders[stretch.drive]
+            job = Job(drive, stretch.method, order.filters, prior, stretch.distrust, order.reuse)
             work = job.work()
-            work.make_depth = tries.guarded(work.make_depth, prior.folder)
+            work.maker = replace(work.maker, whole=tries.guarded(work.maker.whole, prior.folder))
             self._open[stretch.drive] = work
         self._open.move_to_end(stretch.drive)
         while len(self._open) > OPEN_DRIVES:

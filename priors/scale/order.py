@@ -26,6 +26,8 @@ class Order:
     """Where the maps go."""
     selection: Selection = field(default_factory=Selection)
     """Which frames."""
+    reuse: int = 1
+    """How many frames share one map that is made whole; see priors.build.prepare."""
 
     @property
     def absolute(self) -> "Order":
@@ -39,4 +41,4 @@ class Order:
 
     def prepare(self) -> Job:
         """Decide every 'auto' and find the prior's place in the cache; DataError where that cannot be."""
-        return build.prepare(self.open(), self.method, self.filters, self.cache)
+        return build.prepare(self.open(), self.method, self.filters, self.cache, self.reuse)

@@ -24,7 +24,7 @@ def guarded(make_depth: Callable[[Frame], Depth], prior: Path) -> Callable[[Fram
     """Return a function that makes depth, counts its tries, and raises DataError in place of any other error.
 
     Args:
-        make_depth: the method, and the filters after it.
+        make_depth: the method.
         prior: the prior's folder.
     """
 
