@@ -14,18 +14,24 @@ from typing import Any
 
 from eval.curves import Curves, Metric, ScoredPixels, best, curves, join
 from eval.protocol import Protocol, preset
-from eval.result import Comparison, Result
+from eval.result import FLICKER, Comparison, Result
 from eval.result import score as score_frames
 from priors import drives
 from priors.cache import Prior
 from priors.cache.store import publish
 from priors.errors import DataError
+from priors.flicker import flicker_of
 from priors.machine import threads
 from priors.naming import labels
 from priors.selection import select
 from priors.types import Drive, Frame
 
 PAPER = preset("paper")
+
+
+OnFrame = Callable[[str], None]
+Scorer = Callable[["Pairs", Protocol, dict[str, Any], OnFrame], Result]
+"""Scores all pairs by a protocol; the result has the info that is given, and each frame's id is told."""
 
 
 @dataclass(frozen=True)
@@ -40,6 +46,8 @@ class Pairs:
     """Another prior in place of the drive's truth."""
     left_out: dict[str, str] = field(default_factory=dict)
     """Frame id -> why it cannot be scored; known once the pairs were read."""
+    scorer: Scorer | None = None
+    """Scores elsewhere (priors/scale/scoring.py); it keeps no pixels. None: here."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -128,18 +136,13 @@ def pair(prior: Prior, drive: Drive, frames: str | None = None, against: Prior |
     return Pairs(prior, drive, ids)
 
 
-OnFrame = Callable[[str], None]
-Scorer = Callable[[Pairs, Protocol, dict[str, Any], OnFrame], Result]
-"""Scores all pairs by a protocol; the result has the info that is given, and each frame's id is told."""
-
-
 def score_pairs(
     pairs: Pairs,
     protocol: Protocol = PAPER,
     name: str | None = None,
     keep_pixels: bool = False,
     on_frame: OnFrame = lambda frame_id: None,
-    scorer: Scorer | None = None,
+    temporal: bool = False,
 ) -> Score:
     """Score the maps of a prior and keep the result as metrics.json beside them.
 
@@ -150,7 +153,7 @@ def score_pairs(
         keep_pixels: whether to keep the scored pixels of a prior with a confidence; curves are made of them. They take
             24 bytes a pixel.
         on_frame: told the id of each frame when it is scored.
-        scorer: scores elsewhere (priors/scale/scoring.py); it keeps no pixels. None: here.
+        temporal: whether to measure the flicker too, see priors/flicker.py.
     """
     prior = pairs.prior
     truth = drives.truth_of(pairs.drive.describe()) if pairs.against is None else pairs.against.name
@@ -160,11 +163,14 @@ def score_pairs(
     parts: list[ScoredPixels] = []
     kept = keep_pixels and (prior.folder / "confidence").is_dir()
     with threads.limited(threads.count()):
-        if scorer is not None and not kept:
-            result = scorer(pairs, protocol, info, on_frame)
+        if pairs.scorer is not None and not kept:
+            result = pairs.scorer(pairs, protocol, info, on_frame)
         else:
             told = _telling(pairs, on_frame)
             result = score_frames(told, protocol, pairs.fx_baseline, info, parts.append if kept else None)
+        if temporal:
+            value = flicker_of(prior, pairs.drive, pairs.ids, pairs.against)
+            result = replace(result, info={**result.info, FLICKER: value})
     unsaved = None
     try:
         result.save(prior.folder / "metrics.json")

@@ -98,7 +98,7 @@ def test_a_build_fills_a_store_and_another_machine_goes_on(
 def test_depth_comes_last(bucket: Path, drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
     """A build that is killed between two objects leaves a frame that is not done, and its map is made whole later."""
     job = build.prepare(drive, Completion(), folder=bucket)
-    job.begin()
+    job.make_folder()
     store = job.prior.store
     assert store is not None
     put, done = store._put, []

@@ -38,13 +38,16 @@ class Asked:
     engine: EngineArguments
     reuse: int
     """How many frames share one map that is made whole."""
+    temporal: int
+    """With the maps of how many neighbours each map is joined."""
     command: str
     """As typed."""
 
     def order(self, member: Member) -> Order:
         """Return what is to be built of a drive."""
         selection = replace(self.selection, frames=member.entry.frames)
-        return Order(member.entry, member.method, self.filters, self.cache, selection, self.reuse)
+        made = Order(member.entry, member.method, self.filters, self.cache, selection)
+        return replace(made, reuse=self.reuse, temporal=self.temporal)
 
 
 def is_asked(names: Sequence[Path], engine: str) -> bool:

@@ -10,7 +10,7 @@ from priors import cache
 from priors.build.chains import Chains
 from priors.build.decided import ENTRY
 from priors.build.plan import Judge, Plan, make_plan
-from priors.build.work import CLAIMS, Maker, Work, tidy
+from priors.build.work import CLAIMS, MadeOfMaps, Maker, Work, tidy
 from priors.cache import Prior
 from priors.cache.learned import Freshness, WatchedDrive
 from priors.cache.places import follow
@@ -20,7 +20,7 @@ from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
 from priors.selection import Selection
-from priors.types import Drive, Method
+from priors.types import Depth, Drive, Frame, Method
 
 ALL = Selection()
 
@@ -54,6 +54,8 @@ class Job:
     """Whether maps count only after they were read: the folder's manifest was damaged or missing."""
     reuse: int = 1
     """How many frames share one map that is made whole; 1: each has its own."""
+    join: Callable[[Callable[[str], None]], MadeOfMaps] | None = None
+    """Opens what makes a frame's map of others in the cache, told whom to tell notes; None: the method makes it."""
 
     @cached_property
     def chains(self) -> Chains:
@@ -101,26 +103,34 @@ class Job:
         for note in self.method.notes():
             on_note(note)
         with threads.limited(threads.count()):
-            work = self.work(on_frame, on_note)
-            self.begin()
+            work = self.begin(on_frame, on_note)
             work.do(plan.todo, workers, on_note)
         built = sorted(work.built, key=lambda line: str(line["id"]))
         failed = {**plan.failed, **work.failed}
         return BuildReport(self.prior, plan, built, failed, sorted(work.left), sorted(work.carried))
+
+    def begin(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
+        """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
+        work = self.work(on_frame, on_note)
+        self.make_folder()
+        return work
 
     def work(
         self,
         on_frame: Callable[[str], None] = lambda frame_id: None,
         on_note: Callable[[str], None] = lambda line: None,
     ) -> Work:
-        """Make all ready for the first frame: what the method learns from the drive, and its network."""
+        """Return what computes frames, in a folder that is made: what the method learns, and its network."""
         watched = WatchedDrive(self.drive)
-        make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
+        if self.join is not None:
+            make_depth: Callable[[Frame], Depth] = self.join(on_note)
+        else:
+            make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
         learned = watched.sources(self.judge.freshness.digests)
         maker = Maker(make_depth, self.method.carry_on, self.filters)
         return Work(self.chains, self.prior, self.judge, maker, on_frame, learned)
 
-    def begin(self) -> None:
+    def make_folder(self) -> None:
         """Make the prior's folder, and clear away what killed builds left; once a build, before its first frame."""
         cache.create(self.prior.folder, self.prior.manifest)
         follow(self.prior)

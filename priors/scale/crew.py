@@ -53,8 +53,7 @@ def plan_drive(number: int, order: Order, size: int) -> Iterator[Part | Stretch]
         if plan.todo:
             tries.forget(job.prior.folder)
             with threads.limited(threads.count()):
-                job.work()
-            job.begin()
+                job.begin(lambda frame_id: None, lambda line: None)
         else:
             job.end()
     except (DataError, OSError) as error:
@@ -97,15 +96,19 @@ class Builder:
         failed = {id_: work.failed[id_] for id_ in ids if id_ in work.failed}
         return Part.of_frames(stretch.drive, work.prior, [id_ for id_ in ids if id_ not in failed], failed)
 
+    def _job(self, stretch: Stretch) -> Job:
+        """Return the job that the drive's planner made."""
+        order = self.orders[stretch.drive]
+        if order.temporal:  # it is of two priors: that of the single maps is found again
+            return replace(order, method=stretch.method).prepare()
+        prior = Prior(stretch.folder, stretch.manifest)
+        return Job(order.open(), stretch.method, order.filters, prior, stretch.distrust, order.reuse)
+
     def _work(self, stretch: Stretch) -> Work:
         """Return what computes frames of the stretch's drive, opening it where it is not open."""
         if stretch.drive not in self._open:
-            drive = self.orders[stretch.drive].open()
-            prior = Prior(stretch.folder, stretch.manifest)
-            order = self.orders[stretch.drive]
-            job = Job(drive, stretch.method, order.filters, prior, stretch.distrust, order.reuse)
-            work = job.work()
-            work.maker = replace(work.maker, whole=tries.guarded(work.maker.whole, prior.folder))
+            work = self._job(stretch).work()
+            work.maker = replace(work.maker, whole=tries.guarded(work.maker.whole, stretch.folder))
             self._open[stretch.drive] = work
         self._open.move_to_end(stretch.drive)
         while len(self._open) > OPEN_DRIVES:

@@ -28,6 +28,8 @@ class Order:
     """Which frames."""
     reuse: int = 1
     """How many frames share one map that is made whole; see priors.build.prepare."""
+    temporal: int = 0
+    """With the maps of how many frames before and after it each map is joined."""
 
     @property
     def absolute(self) -> "Order":
@@ -41,4 +43,4 @@ class Order:
 
     def prepare(self) -> Job:
         """Decide every 'auto' and find the prior's place in the cache; DataError where that cannot be."""
-        return build.prepare(self.open(), self.method, self.filters, self.cache, self.reuse)
+        return build.prepare(self.open(), self.method, self.filters, self.cache, self.reuse, self.temporal)
