@@ -10,7 +10,6 @@ from factories import write_folder
 
 from priors.bench import sweep as sweeps
 from priors.bench.entrants import Entrant
-from priors.bench.resized import Resized
 from priors.bench.scout import Errand, Scouted, run
 from priors.bench.sweep import Growth, Measured, lay_out, plots, points
 from priors.draw.lines import draw
@@ -18,6 +17,7 @@ from priors.drives import open_drive
 from priors.errors import DataError
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
+from priors.resized import Resized
 from priors.types import Method
 
 pytestmark = pytest.mark.stress
