@@ -8,6 +8,7 @@ import pytest
 from conftest import RealData
 from factories import write_raw
 from layouts.kitti_stereo import write_2015
+from test_learn_data import write_street
 
 from cli.priors import PROGRAM
 from priors.drives import open_drive
@@ -16,7 +17,7 @@ from priors.geometry import convert_disparity
 from priors.held_back import BLOCKS, held_back, is_held_back, training_frames
 from priors.learn import pair_file
 from priors.learn.real_truth import DRIVE, KITTI2015, RealTruth, as_matched, label, label_frames
-from priors.learn.stereo_data import SHARES, SHARES_WITH_TRUTH, Sources
+from priors.learn.stereo_data import SHARES, SHARES_WITH_TRUTH, Folders, Sources, find_sources, mixture, validation
 from priors.pairs.rectification import RectificationError
 from priors.types import Camera
 
@@ -104,6 +105,23 @@ def test_shares_cover_what_there_is() -> None:
     path = [Path("x")]
     assert set(Sources(path, path, path, path, path, path).drawn()) == set(SHARES_WITH_TRUTH)
     assert set(Sources(path, (), path).drawn()) == {"street", "warped"}
+
+
+def test_pairs_with_truth_are_drawn_and_those_held_back_validate(tmp_path: Path) -> None:
+    split = write_2015(tmp_path / "data" / "kitti_stereo2015")
+    folders = Folders(write_street(tmp_path), real=tmp_path / "data")
+    train, held = find_sources(folders)
+    assert [path.stem for path in train.kitti2015] == ["kitti2015_000000_10", "kitti2015_000001_10"]
+    assert not held.kitti2015 and not train.drive0009 and not train.odometry
+    for path in sorted(split.rglob("000001*")):
+        path.rename(path.with_name(path.name.replace("000001", "000125")))
+    train, held = find_sources(folders)
+    assert [path.stem for path in train.kitti2015] == ["kitti2015_000000_10"]
+    assert [path.stem for path in held.kitti2015] == ["kitti2015_000125_10"]
+    draw = mixture(folders, (48, 96))
+    drawn = {draw(np.random.default_rng([0, step])).source for step in range(30)}
+    assert drawn == {"street", KITTI2015}
+    assert KITTI2015 in {pair.source for pair in validation(folders, count=2)}
 
 
 def test_real_frames(real_data: RealData, tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from priors.codecs import as_grey
 from priors.drives.kitti_raw import KittiRaw
 from priors.drives.kitti_stereo import KittiStereo
 from priors.geometry import convert_disparity
-from priors.held_back import held_back, training_frames
+from priors.held_back import is_held_back, training_frames
 from priors.learn import pair_file
 from priors.learn.pseudo_labels import CALM_PX, find_sky
 from priors.learn.stereo_pair import StereoPair
@@ -57,9 +57,10 @@ class RealTruth:
     @cached_property
     def held_back(self) -> list[Frame]:
         """The KITTI 2015 frames that are held back: their truth is official."""
-        if self._pairs is None:
+        pairs = self._pairs
+        if pairs is None:
             return []
-        return [self._pairs[index] for index in held_back(self._pairs)]
+        return [pairs[at] for at, id_ in enumerate(pairs.ids) if is_held_back(pairs.name, id_)]
 
     @cached_property
     def _pairs(self) -> KittiStereo | None:

@@ -31,7 +31,7 @@ from priors.learn.warp_scenes import CAMVID, SLOW_NAME, make_scenes
 Draw = Callable[[np.random.Generator], StereoPair]
 SHARES = {"street": 0.55, "warped": 0.25, "odometry": 0.2}
 """Of what is drawn; a source that is not there leaves its share to the others."""
-SHARES_WITH_TRUTH = {"street": 0.25, "warped": 0.08, "odometry": 0.12, KITTI2015: 0.45, DRIVE: 0.1}
+SHARES_WITH_TRUTH = {"street": 0.33, "warped": 0.08, "odometry": 0.11, KITTI2015: 0.4, DRIVE: 0.08}
 """The same where there are real pairs with truth."""
 LEAST_KNOWN = 0.1
 """Share of a crop that must be known; what has less is drawn again."""
