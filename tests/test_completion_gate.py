@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.ndimage import distance_transform_edt
 from test_learn_completion import scene, street  # noqa: F401
 from test_mffnet import F
 
@@ -52,7 +53,7 @@ def test_density_is_of_the_pixels_that_get_a_value() -> None:
 
 @pytest.mark.parametrize(("gate", "power"), [(None, 1), ((1.0, 2.0), 1), ((0.0, 1e-9), 0), ("around", 0.5)])
 def test_the_correction_counts_by_its_share(file: Path, gate: object, power: float) -> None:
-    """Of a correction of 1.5, half the say is a factor of sqrt(1.5); none is the fill itself."""
+    """Of a correction of 1.5, half the say is a factor of sqrt(1.5), and none is the fill; far off it is all of it."""
     shown = drop_points(scene(), np.random.default_rng(0), Density())
     given = shown.sparse_m, shown.scene.image, shown.scene.camera, None
     fill_m = complete(*given).depth_m
@@ -62,7 +63,10 @@ def test_the_correction_counts_by_its_share(file: Path, gate: object, power: flo
     near = fill_m > 0
     assert np.array_equal(mended_m > 0, near)
     inside = near & (mended_m < 0.99 * mended_m.max()) & (fill_m > 1.01 * fill_m[near].min())
-    np.testing.assert_allclose((mended_m / np.maximum(fill_m, 1e-6))[inside], 1.5**power, rtol=2e-3)
+    ratio, distance_px = mended_m / np.maximum(fill_m, 1e-6), distance_transform_edt(shown.sparse_m == 0)
+    np.testing.assert_allclose(ratio[inside & (distance_px < 2.9)], 1.5**power, rtol=2e-3)
+    np.testing.assert_allclose(ratio[inside & (distance_px > 9.5)], 1.5, rtol=2e-3)
+    assert (inside & (distance_px > 9.5)).any() and (inside & (distance_px < 2.9)).any()
 
 
 def test_the_gate_closes_at_the_sparsest_map_that_gets_worse() -> None:
