@@ -57,7 +57,7 @@ def correct(
             mended = maps[0] * (mended.cpu() / maps[0]) ** torch.from_numpy(_pad(shares[rows]))[None]
         for value, target in ((mended.clamp_(*limits_m), depth_m), (right, confidence)):
             np.multiply(value[0].cpu().numpy()[: near[rows].shape[0], : near.shape[1]], near[rows], out=target[rows])
-    return Depth(depth_m, confidence)
+    return Depth(depth_m, confidence, within_5_percent=confidence)
 
 
 def span(near: Mask) -> slice:
