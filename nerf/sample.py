@@ -38,15 +38,15 @@ class SamplerConfig:
     count: int = 16
     """Samples of a ray that the prior guides."""
     proposed: int | None = 32
-    """Samples of a ray after its proposals, where no prior guides it: with 16, colours alone do not learn depth;
-    none: as many as `count`."""
+    """Samples of a ray after its proposals, where no prior guides it; none: as many as `count`. With 16, a fit by
+    colours alone does not learn depth."""
     free: int = 48
     """Candidates of a ray without a prior; those in empty cells are dropped."""
     render: int = 256
     """Candidates of a ray when views are rendered."""
     render_proposed: int | None = 16
-    """Samples of a rendered ray after its proposals, which have learned by then where surfaces are; none: as many as
-    `proposed`."""
+    """Samples of a rendered ray after its proposals; none: as many as `proposed`. Few are enough: by then the
+    proposals know where surfaces are."""
     guide: bool = True
     """Put a ray's samples around its prior depth."""
     carve: bool = True
@@ -56,23 +56,23 @@ class SamplerConfig:
     reach: float = 0.12
     """Half width of the band of samples around the prior, as a share of its depth."""
     unguided: float = 0.03
-    """Share of the rays with a prior that ignore it, when a fit begins: gross errors of a prior are found by them."""
+    """Share of the rays that do not use their prior's depth when a fit begins. They find gross errors of the prior."""
     unguided_later: float = 0.5
-    """What that share has grown to in the middle of a fit, where it is more: once depth is learned, guiding costs
-    colour. Families with proposals keep the share."""
+    """The same share in the middle of a fit and after; before, it grows. Once depth is learned, samples around the
+    prior cost colour. Families with proposals (mip360) keep the first share."""
     trust: float = 0.2
-    """Prior values of less confidence than this carve and guide nothing; the losses weigh them as they do all."""
+    """Least confidence of a prior's value that may empty space or guide samples. The losses use all values."""
 
     terminate: float = 1e-3
     """Transmittance below which a ray ends, in training and rendering; 0: at its last sample."""
     roulette_samples: float = 0.1
-    """Least probability with which a training sample goes through the backward pass: those that carry little of the
-    gradient go rarely, and then count for more; 1: all go."""
+    """Least probability with which a training sample takes part in the backward pass. Samples that matter little to
+    the gradient take part rarely, and count for more when they do. 1: all take part."""
     roulette_proposals: float = 0.1
-    """The same for the samples of the proposals; 1: all go."""
+    """The same for the samples of the proposals. 1: all take part."""
     roulette_rays: float = 1.0
-    """Least probability with which a drawn ray is trained on, for example 0.25: those of image parts that are learned
-    already go rarely, and then count for more; 1: all go."""
+    """Least probability with which a drawn ray is trained on, for example 0.25. Rays of image parts that are learned
+    already take part rarely, and count for more when they do. 1: all take part."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {
         "count": 32,

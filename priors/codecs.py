@@ -21,7 +21,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eval.files import write_bytes
-from priors.errors import DataError
+from priors.errors import DataError, unreadable
 from priors.types import FloatMap, Image
 
 PNG_SCALE = {"kitti": 256.0, "mm": 1000.0}
@@ -207,10 +207,8 @@ def read_bytes(path: Path) -> bytes:
     """Read a file; DataError where it is missing or cannot be read."""
     try:
         return path.read_bytes()
-    except FileNotFoundError as error:
-        raise DataError(f"{path}: no such file") from error
     except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+        raise unreadable(path, error) from error
 
 
 def _decode(data: bytes, path: Path) -> npt.NDArray[Any]:

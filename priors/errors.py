@@ -9,6 +9,21 @@ LARGEST_SEED = 2**63 - 1
 """Seeds are whole numbers from 0 to this."""
 
 
+MENDS = {
+    PermissionError: "you may not read it: chmod u+r lets you",
+    IsADirectoryError: "it is a folder: name a file",
+}
+"""What to do about a file that cannot be read, by the kind of the system's error."""
+
+
+def unreadable(path: object, error: OSError) -> DataError:
+    """Return the error to raise where a file could not be read: which file, the system's reason, and what to do."""
+    if isinstance(error, FileNotFoundError):
+        return DataError(f"{path}: no such file")
+    mend = next((mend for kind, mend in MENDS.items() if isinstance(error, kind)), "copy or download it again")
+    return DataError(f"{path}: cannot be read ({error.strerror or error}): {mend}")
+
+
 class UsageError(DataError):
     """A command that was called wrongly; the command line exits 2."""
 

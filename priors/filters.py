@@ -215,7 +215,7 @@ class Density:
 
 @dataclass(frozen=True)
 class Filters:
-    """All filters, off unless asked for, applied in this order: the shares come last, of what the others left."""
+    """Filters of depth maps. All are off by default, and apply in this order. A share is of what the others left."""
 
     sky: Literal["off", "mask"] = "off"
     """mask: drop what looks like sky (colour, position, texture)."""

@@ -18,6 +18,8 @@ LENGTH = 10
 DECIDES = ("method", "version", "config", "filters", "sky", "weights", "fingerprint", "maps", "camera", "encoding")
 """Entries of a manifest that decide what the maps hold. The package's version is not among them: a method has its own,
 raised when its maps change."""
+DECIDES_WHERE_SET = ("reuse",)
+"""Entries that decide, too, and that a manifest lacks where they are not in use."""
 
 
 def key_of(parts: Record) -> str:
@@ -28,7 +30,8 @@ def key_of(parts: Record) -> str:
 
 def key(manifest: Record, kind: type[Any]) -> str:
     """Return the key of the maps that a manifest of today describes; its config is one of this kind of method."""
-    return key_of({name: manifest[name] for name in DECIDES} | {"config": original(kind, manifest["config"])})
+    names = [*DECIDES, *(name for name in DECIDES_WHERE_SET if name in manifest)]
+    return key_of({name: manifest[name] for name in names} | {"config": original(kind, manifest["config"])})
 
 
 def find(drive: Path, manifest: Record, kind: type[Any]) -> Prior | None:
@@ -49,6 +52,6 @@ def find(drive: Path, manifest: Record, kind: type[Any]) -> Prior | None:
 
 def _decisions(manifest: Record, kind: type[Any]) -> Record:
     """Return what decides the maps, in today's names."""
-    decides = {name: manifest.get(name) for name in DECIDES}
+    decides = {name: manifest.get(name) for name in (*DECIDES, *DECIDES_WHERE_SET)}
     config = decides["config"]
     return decides | {"config": upgrade(kind, config)} if isinstance(config, dict) else decides

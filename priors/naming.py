@@ -51,6 +51,9 @@ def _described(prior: Prior) -> dict[str, str]:
     """Return what is unusual about a prior, in words, by setting and filter."""
     usual, own = _usual_and_own(prior)
     words = {key: f"{key}={_short(value)}" for key, value in own.items() if usual.get(key, value) != value}
+    reuse = prior.manifest.get("reuse")
+    if isinstance(reuse, dict):
+        words["reuse"] = f"reuse={reuse.get('frames')}"
     filters = prior.manifest.get("filters", {})
     return words | {name: f"+ {_words(name, values)}" for name, values in filters.items()}
 

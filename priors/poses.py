@@ -1,7 +1,9 @@
 """Files of poses: a pose a line, with the id of its frame before it or without."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from contextlib import suppress
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -10,6 +12,7 @@ from priors.frame_ids import joined
 from priors.text import Line, read_lines
 from priors.types import Matrix
 
+Key = TypeVar("Key")
 WITH_ID = 13
 """Words of a line: an id, and a row-major (3, 4)."""
 
@@ -64,3 +67,13 @@ def _whole_number(word: str) -> str:
         return str(int(number)) if (number := float(word)).is_integer() and number >= 0 else word
     except (ValueError, OverflowError):
         return word
+
+
+def readable(keys: Iterable[Key], pose_of: Callable[[Key], Matrix | None]) -> dict[Key, Matrix]:
+    """Return the poses that are there and can be read, by their keys: a damaged one spoils its own frame only."""
+    poses = {}
+    for key in keys:
+        with suppress(DataError):
+            if (pose := pose_of(key)) is not None:
+                poses[key] = pose
+    return poses

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from eval.files import write_bytes
-from priors.errors import DataError
+from priors.errors import DataError, unreadable
 from priors.keys import key_of
 from priors.poses import by_id, parse_pose, read_pose_lines
 from priors.types import Matrix
@@ -107,7 +107,7 @@ def load(folder: Path) -> RefinedPoses:
     except FileNotFoundError as error:
         raise DataError(f"{error.filename}: no such file: `priors poses DATA` makes refined poses") from error
     except OSError as error:
-        raise DataError(f"{error.filename}: cannot be read ({error.strerror})") from error
+        raise unreadable(error.filename, error) from error
     except (ValueError, KeyError, TypeError) as error:
         raise DataError(f"{path}: damaged ({error}): {again}") from error
     lines = read_pose_lines(folder / POSES)

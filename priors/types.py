@@ -204,6 +204,14 @@ class Frame:
         return self.read("foreground")
 
 
+@dataclass(frozen=True, slots=True)
+class Earlier:
+    """A frame whose map was made before, and the map as its method left it: what the next frame's may be made of."""
+
+    frame: Frame
+    depth: Depth
+
+
 class Drive(Protocol):
     """A lazily read sequence of frames from one camera."""
 
@@ -266,6 +274,15 @@ class Method(ABC):
     @property
     def sure_within(self) -> Tolerance | None:
         """The error up to which a value is right, where the confidence is the probability of that; None: it is not."""
+        return None
+
+    @property
+    def carries(self) -> bool:
+        """Whether `carry_on` can make a frame's map of the one before."""
+        return False
+
+    def carry_on(self, frame: Frame, before: Earlier) -> Depth | None:
+        """Make a frame's map of the frame's before; None where it must be made whole."""
         return None
 
     def unread(self) -> Mapping[str, str]:

@@ -1,4 +1,4 @@
-"""Docstrings and strings of the packages name flags and commands that exist."""
+"""Docstrings and messages of the packages name flags and commands that exist."""
 
 import ast
 import re
@@ -17,8 +17,17 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("priors", "nerf", "eval", "cli")
 FLAG = re.compile(r"(?<![\w-])--([a-z][a-z0-9.-]*[a-z0-9])")
 COMMAND = re.compile(r"`(priors|nerf) ([a-z]+)")
-OTHERS = {"help", "version", logs.VERBOSE.strip("-"), logs.DEBUG.strip("-"), "nproc-per-node", "outer.inner", "no-name"}
-"""Flags of no command's dataclass: those of all commands, torchrun's, and stand-ins for any flag."""
+OTHERS = {
+    "help",
+    "version",
+    logs.VERBOSE.strip("-"),
+    logs.DEBUG.strip("-"),
+    "nproc-per-node",
+    "upgrade",
+    "outer.inner",
+    "no-name",
+}
+"""Flags of no command's dataclass: those of all commands, torchrun's, pip's, and stand-ins for any flag."""
 
 
 def known() -> set[str]:
@@ -43,13 +52,22 @@ def docstrings(tree: ast.Module) -> Iterator[str]:
             yield node.value.value
 
 
+def messages(tree: ast.Module) -> Iterator[str]:
+    """The texts of all errors that a user reads, with a gap where a value goes."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id.endswith("Error"):
+            for part in (part for given in node.args for part in ast.walk(given)):
+                if isinstance(part, ast.Constant) and isinstance(part.value, str):
+                    yield part.value
+
+
 @pytest.mark.parametrize("package", PACKAGES)
-def test_docstrings_name_flags_and_commands_that_exist(package: str) -> None:
+def test_docstrings_and_messages_name_flags_and_commands_that_exist(package: str) -> None:
     flags, commands = known(), {"priors": PRIORS.commands, "nerf": NERF.commands}
     wrong = []
     for file in sorted((ROOT / package).rglob("*.py")):
         tree = ast.parse(file.read_text(encoding="utf-8"))
-        for text in docstrings(tree):
+        for text in (*docstrings(tree), *messages(tree)):
             text = re.sub(r"python tests/bench/.*", "", text)  # a script's flags are its own
             wrong += [f"{file}: --{flag}" for flag in FLAG.findall(text) if flag not in flags | own_flags(tree)]
             wrong += [f"{file}: {one} {two}" for one, two in COMMAND.findall(text) if two not in commands[one]]

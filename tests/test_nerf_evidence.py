@@ -22,7 +22,7 @@ from nerf.kernels.cpu.votes import STRIDE, Voter, pool, vote
 from nerf.kernels.cpu.warp_draw import NONE
 from nerf.scene import Scene
 from nerf.stack import Stack, StackWriter
-from nerf.warp.model import between
+from nerf.warp.draw import between
 from priors.geometry import rays as pixel_rays
 from priors.records import earlier, restore
 from tests.reference import votes as slow

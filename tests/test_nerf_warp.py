@@ -24,8 +24,9 @@ from nerf.run import begin
 from nerf.scene import Scene
 from nerf.study import RunSpec, Study
 from nerf.types import RenderedView
+from nerf.warp.draw import between, rules_for
 from nerf.warp.fill import fill
-from nerf.warp.model import WarpModel, between, rules_for
+from nerf.warp.model import WarpModel
 from nerf.warp.surface import joins_of, surface_of
 from priors import build
 from priors.drives import open_drive
@@ -181,8 +182,8 @@ def test_the_nearest_frames_are_those_that_look_the_same_way() -> None:
     scene = corridor()
     scene.T_world_cam[:10, :3, :3] = pose(np.pi)[:3, :3]  # the first half of the drive looks back
     model = warp(scene)
-    assert model._frames is not None
-    assert model._frames.nearest(scene.T_world_cam[10], 4) == [10, 11, 12, 13]
+    assert model._warp is not None
+    assert model._warp.frames.nearest(scene.T_world_cam[10], 4) == [10, 11, 12, 13]
 
 
 def test_filling_keeps_what_is_known_and_constants() -> None:

@@ -1,7 +1,8 @@
 """`nerf bench`: quality against time."""
 
 import shlex
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from dataclasses import field as made_by
 from pathlib import Path
 from typing import Literal
@@ -16,7 +17,7 @@ from cli.nerf.fit import FieldName
 from cli.nerf.sources import named_priors
 from eval import typeset
 from eval.files import write_bytes
-from nerf.bench import ablation, results
+from nerf.bench import ablation, growth, results
 from nerf.bench.ablation import ablated
 from nerf.bench.curve import Curve, Entrant
 from nerf.bench.marks import Mark, ascending
@@ -25,7 +26,9 @@ from nerf.config import MOST_STEPS, FitConfig
 from nerf.fields import is_trained
 from nerf.guide import TRUTH
 from nerf.split import HELD_OUT, check_views
-from nerf.study import NONE, FitRunner, Study
+from nerf.study import NONE, FitRunner, RunSpec, Study
+from priors.bench import sweep
+from priors.draw import lines
 from priors.errors import LARGEST_SEED, UsageError, expect_between
 from priors.selection import parse_range
 
@@ -37,6 +40,7 @@ examples:
   nerf bench street/ --priors cache/DRIVE/stereo-KEY --field ngp mip360 --at 10s 30s 60s 300s --seed 0 1 2
   nerf bench street/ --priors cache/ --field mip360 --budgets            a fit of its own for each time
   nerf bench street/ --priors cache/ --field ngp --ablate --steps 100 200 400     what each switch that skips work buys
+  nerf bench street/ --priors cache/ --field mip360 --sweep rays         how a step's cost grows with its rays
   nerf bench street/ --priors cache/ --ceiling                           what the held-out views could score at best
 """
 
@@ -66,6 +70,9 @@ class BenchArguments(ThreadArguments, SequenceArguments):
     ablate: bool = False
     """Also make each fit without each switch that skips work, one by one: what the switch saves, and what it changes,
     at equal steps and at equal time."""
+    sweep: Literal["rays", "samples", "table", "frames"] | None = None
+    """Measure instead how a step's processor time and memory grow: with its rays, a ray's samples, the rows of the
+    hash grid's tables, or the training views."""
     rays: int = 1024
     """Rays in a step."""
     frames: str | None = None
@@ -81,6 +88,8 @@ class BenchArguments(ThreadArguments, SequenceArguments):
         self.marks(), self.fit()
         if self.ablate and self.budgets:
             raise UsageError("--ablate: a curve is compared at equal time too: leave out --budgets")
+        if self.sweep is not None and (self.ablate or self.ceiling or self.budgets):
+            raise UsageError(f"--sweep {self.sweep}: scores no views: leave out --ablate, --ceiling, --budgets")
         parse_range(self.frame_range(self.frames))
         for views in self.views:
             check_views(views)
@@ -130,6 +139,8 @@ def _bench(args: BenchArguments, command: str) -> int:
     runner = FitRunner(
         drive, args.fit(), args.frame_range(args.frames), args.device, args.lpips.open(), progress, fit_progress
     )
+    if args.sweep is not None:
+        return _sweep(args.sweep, runner, [each.spec for each in entrants], args.out)
     race = Race(runner, args.out, entrants)
     err.print(str(race.warm_up()))
     curves = race.run(_tell)
@@ -144,6 +155,21 @@ def _bench(args: BenchArguments, command: str) -> int:
     for path in written:
         out.print(f"wrote {path}")
     return DATA_ERROR if any(curve.error for curve in curves) else 0
+
+
+def _sweep(axis: growth.Axis, runner: FitRunner, specs: Sequence[RunSpec], folder: Path) -> int:
+    """Measure how a step grows; print the slopes, draw them."""
+    kinds = [spec for spec in dict.fromkeys(replace(spec, seed=0) for spec in specs) if is_trained(spec.field)]
+    if not kinds:
+        raise UsageError(f"--sweep {axis}: no field here is trained: name one by --field")
+    with progress(f"sweep of {axis}", sum(len(growth.points(axis, spec, runner.fit)) for spec in kinds)) as step:
+        grown = growth.sweep(axis, runner, kinds, step)
+    laid = sweep.lay_out(growth.NAMES[axis], grown, runner.drive.name)
+    out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
+    path = folder / f"sweep-{axis}.svg"
+    lines.write(path, sweep.plots(growth.NAMES[axis], grown), 2)
+    out.print(f"wrote {path}")
+    return 0
 
 
 def _tell(curve: Curve) -> None:

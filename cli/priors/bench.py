@@ -69,9 +69,9 @@ class PriorsBenchArguments(ThreadArguments, SequenceArguments):
     """PSMNet as a peer: a file with its class PSMNet, and its weights."""
     at_most: str = "10m"
     """How long it may take: 90s, 10m, 1h. What is slow then makes fewer frames."""
-    sweep: Literal["size", "disparity", "sweeps"] | None = None
-    """Measure instead how time and memory grow: with the image's size, the disparities that stereo searches, or the
-    sweeps that LiDAR accumulates."""
+    sweep: Literal["size", "disparity", "sweeps", "lines"] | None = None
+    """Measure instead how time and memory grow: with the image's size, the disparities that stereo searches, the
+    sweeps that LiDAR accumulates, or the scan lines of a sweep."""
     cache: Path = Path("cache")
     """Where results go: cache/DRIVE/bench."""
 
@@ -161,10 +161,10 @@ def _sweep(args: PriorsBenchArguments, drive: Drive, lineup: list[Entrant]) -> i
     able = [each for each in lineup if each.lacks(drive[frame]) is None]
     with progress(f"sweep of {args.sweep}", len(sweep.points(args.sweep, able, drive[frame].camera.size))) as step:
         grown = sweep.sweep(args.sweep, able, drive, frame, step)
-    laid = sweep.lay_out(args.sweep, grown, f"{drive.name}, frame {drive.ids[frame]}")
+    laid = sweep.lay_out(sweep.NAMES[args.sweep], grown, f"{drive.name}, frame {drive.ids[frame]}")
     out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
     path = args.cache / drive.name / FOLDER / f"sweep-{args.sweep}.svg"
-    lines.write(path, sweep.plots(args.sweep, grown), 2)
+    lines.write(path, sweep.plots(sweep.NAMES[args.sweep], grown), 2)
     out.print(f"wrote {path}")
     return 0
 

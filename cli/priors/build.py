@@ -16,6 +16,7 @@ from cli.priors.left_open import LeftOpen, idle_flags, method_of
 from priors import build, methods
 from priors.bench.budget import Budget
 from priors.build import BuildReport, Job, Plan
+from priors.build.chains import MOST
 from priors.cache import load
 from priors.cache.manifest import NewerFormatError
 from priors.drives import poses_of
@@ -38,6 +39,7 @@ examples:
   priors build street/ --method mono --mono.adapt lidar       fine-tune on the drive first, a minute or two
   priors build street/ --method stereo --keep 0.9228          keep the most confident 92.28 %
   priors build street/ --method stereo --shard 3/8            the third of eight machines
+  priors build street/ --method stereo --reuse 4              a map in four is made whole: half the time
   priors build street/ --method lidar --dry-run               what would be computed, what not and why
 """
 
@@ -56,14 +58,18 @@ class BuildArguments(ThreadArguments, SequenceArguments):
     """Where the maps go."""
     selection: tyro.conf.OmitArgPrefixes[Selection] = field(default_factory=Selection)
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
+    reuse: int = 1
+    """Make every N-th map whole, and the N - 1 after it of the one before: moved by the poses, checked against the
+    pair, made whole where that fails. For stereo, where frames lie close together; 1: make all whole."""
     workers: int = 2
-    """Frames computed at the same time."""
+    """Frames computed at the same time; with --reuse, chains of N frames."""
     dry_run: bool = False
     """List what would be computed and what is skipped and why; compute nothing."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         expect_between(1, self.workers, MOST_THREADS, "--workers")
+        expect_between(1, self.reuse, MOST, "--reuse")
         if self.budget is not None:
             Budget.parse(self.budget)
         self.chosen()
@@ -107,7 +113,7 @@ def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
     """Open the drive, decide what is left open, and find out what is to be computed."""
     drive = args.open(["priors", "build", *typed])
     indices = select(drive.ids, args.chosen().frames)  # wrong frames are told before anything is compiled
-    job = build.prepare(drive, _settings(args, drive, indices, typed), args.filters, args.cache)
+    job = build.prepare(drive, _settings(args, drive, indices, typed), args.filters, args.cache, args.reuse)
     for flag, reader in _unread_flags(job.method, typed).items():
         err.print(f"{flag}: not used here: it is read with {reader}")
     _tell_of_unused(job)
@@ -211,6 +217,8 @@ def _print_summary(report: BuildReport) -> None:
     )
     out.print(table)
     _print_repaired(report)
+    if report.carried:
+        out.print(f"{len(report.carried)} of the built were made of the frame before, the others whole")
     too_far = sum(line["too_far"] for line in report.built)
     if too_far:
         out.print(f"{too_far} values lie beyond 255.99 m, the most the format holds: left without a value")

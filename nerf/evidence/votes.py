@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from nerf.kernels.cpu.votes import Rules, Voter, pool, vote
 from nerf.kernels.cpu.warp_draw import NONE
-from nerf.warp.model import between
+from nerf.warp.draw import between
 from priors.machine import threads
 from priors.types import Camera, Matrix
 

@@ -1,6 +1,8 @@
 """Settings of a field of Gaussians: how it starts, what it minimises beside the shared losses, how it grows."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any, ClassVar
 
 from priors.errors import expect, expect_between
 
@@ -22,9 +24,14 @@ class GaussianConfig:
     """Share of 1 - SSIM in the colour loss; the rest is the mean absolute difference."""
     densify: bool = True
     """Split Gaussians where the image asks for more of them, and delete those that show nothing."""
+    virtual_views: float = 0.5
+    """Share of the steps that learn from a view between two training frames, as the warp shows it; 0: none."""
+
+    BEFORE: ClassVar[Mapping[str, Any]] = {"virtual_views": 0.0}
 
     def __post_init__(self) -> None:
         expect_between(1, self.most_gaussians, MOST, "--most-gaussians")
         expect_between(0, self.start_step, 64, "--start-step")
         expect_between(0, self.degree, 3, "--degree")
         expect(0 <= self.dssim <= 1, "--dssim", self.dssim, "a share from 0 to 1")
+        expect(0 <= self.virtual_views < 1, "--virtual-views", self.virtual_views, "a share from 0 to below 1")

@@ -1,5 +1,6 @@
 """Splat model: a scene of Gaussians before a sky, started from the prior and trained on whole views."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -19,7 +20,9 @@ from nerf.gaussians.shell import shell_of
 from nerf.gaussians.shot import Shot, position_at, shot_of
 from nerf.gaussians.start import start_of
 from nerf.gaussians.types import Drawing, Gaussians, Rasterised, SplatMoments, Viewpoint
+from nerf.gaussians.virtual import VirtualViews, is_virtual
 from nerf.kernels import kernels_for
+from nerf.losses import LossConfig
 from nerf.model import StepResult
 from nerf.optimise import Optimiser
 from nerf.scene import Scene
@@ -87,6 +90,7 @@ class SplatModel:
         self.backdrop = Backdrop(self.device)
         self._sky = Optimiser({f"sky.{name}": x for name, x in self.backdrop.sky.parameters().items()})
         self._splat = kernels_for(self.device).splat
+        self._virtual: VirtualViews | None = None
 
     @property
     def settings(self) -> GaussianConfig:
@@ -95,22 +99,37 @@ class SplatModel:
 
     def train(self, scene: Scene, config: FitConfig, step: int, progress: float) -> StepResult:
         """Do a step of training on one whole view; see nerf.model.Model."""
-        shot = shot_of(scene, position_at(scene.train, config.seed, step), config.losses, self.device)
+        shot = self._shot(scene, config, step)
         seen = self._splat.rasterise(self.gaussians, shot.viewpoint, self._drawing(progress))
         result = self._learn(shot, seen, config, (step, progress))
-        if self.settings.densify and growth.is_due(step, len(scene.train), progress):
+        lap = math.ceil(len(scene.train) / (1 - self._virtual_share(scene)))
+        if self.settings.densify and growth.is_due(step, lap, progress):
             made = growth.grown(self.gaussians, self.moments, self.growth, self.settings.most_gaussians)
             self.gaussians, self.moments = made
             self.growth = Growth.of(len(self.gaussians), self.device)
         return result
+
+    def _shot(self, scene: Scene, config: FitConfig, step: int) -> Shot:
+        """Return what a step learns from: one of the training frames or, where there is a prior, a view between two."""
+        share = self._virtual_share(scene)
+        between = int(step * share)
+        if is_virtual(step, share):
+            self._virtual = self._virtual or VirtualViews(scene, self.device)
+            return self._virtual.shot(config.seed, between)
+        return shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
+
+    def _virtual_share(self, scene: Scene) -> float:
+        """Return which share of the steps learns from virtual views: none where there is no prior."""
+        return self.settings.virtual_views if scene.depth_m is not None and len(scene.train) > 1 else 0.0
 
     def _learn(self, shot: Shot, seen: Rasterised, config: FitConfig, at: tuple[int, float]) -> StepResult:
         """Go back from what is seen of a frame, and move the parameters."""
         step, progress = at
         rgb = self.backdrop.behind(seen, shot.viewpoint, TRAINED)
         share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
-        colour = self._splat.colour_loss(rgb, shot.rgb, share)
-        losses = geometry_losses(config.losses, shot, seen, config.rays, (config.seed, step))
+        colour = self._splat.colour_loss(rgb, shot.rgb, share, shot.counts)
+        rules = _for_fewer(config.losses, 1 - self.settings.virtual_views if shot.depth_m is not None else 1.0)
+        losses = geometry_losses(rules, shot, seen, config.rays, (config.seed, step))
         losses.d_opacity += self.backdrop.backward(seen, colour.d_rgb)
         gradients = self._splat.backward(seen, losses.gradients(colour.d_rgb))
         self.growth.observe(gradients)
@@ -174,6 +193,12 @@ class SplatModel:
 
     def _taken(self, saved: dict[str, Tensor], like: Gaussians, count: int) -> Gaussians:
         return Gaussians(*(_sized(name, saved, x, count) for name, x in like.tensors().items()))
+
+
+def _for_fewer(rules: LossConfig, share: float) -> LossConfig:
+    """Return losses whose pull by prior and sky is the same over all steps, where only a share of them knows either."""
+    weights = {name: getattr(rules, name) / share for name in ("depth_weight", "opacity", "sky_opacity")}
+    return replace(rules, **weights)
 
 
 def _sized(name: str, saved: dict[str, Tensor], like: Tensor, count: int) -> Tensor:

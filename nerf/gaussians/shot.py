@@ -17,10 +17,10 @@ from priors.types import Camera
 
 @dataclass(frozen=True, slots=True)
 class Shot:
-    """One frame; tensors on one device."""
+    """One view; tensors on one device."""
 
-    position: int
-    """Which of the scene's frames."""
+    position: int | None
+    """Which of the scene's frames; None: a virtual view."""
     viewpoint: Viewpoint
     rgb: Tensor
     """(h, w, 3) in [0, 1]."""
@@ -30,6 +30,8 @@ class Shot:
     """(h, w) how much the prior counts, 0 where it has no value; None without a prior."""
     sky: Tensor | None
     """(h, w) 1 where the image shows sky; None: nobody knows."""
+    counts: Tensor | None = None
+    """(h, w) how much a pixel's colour counts; None: all alike."""
 
 
 def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device) -> Shot:

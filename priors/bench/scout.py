@@ -17,6 +17,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from priors import drives
+from priors.bench.fewer_lines import FewerLines
 from priors.bench.resized import Resized
 from priors.errors import DataError
 from priors.machine import cpu, threads
@@ -40,6 +41,8 @@ class Errand:
     threads: int
     share: float = 1.0
     """Of the images' sides that are kept."""
+    every: int = 1
+    """Which of a sweep's lines are kept: every so many-th."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,9 @@ class Scouted:
     """Why it made none, one line."""
 
 
-def send(method: Method, drive: Drive, frame: int, timeout_s: float | None = None, share: float = 1.0) -> Scouted:
+def send(
+    method: Method, drive: Drive, frame: int, timeout_s: float | None = None, share: float = 1.0, every: int = 1
+) -> Scouted:
     """Let a process of its own make a frame's map; what goes wrong there is told in the answer.
 
     Args:
@@ -67,8 +72,9 @@ def send(method: Method, drive: Drive, frame: int, timeout_s: float | None = Non
         frame: index of the frame.
         timeout_s: how long it may take; None: as long as it does.
         share: of the images' sides that are kept.
+        every: which of a sweep's lines are kept: every so many-th.
     """
-    errand = Errand(method, {"name": drive.name, **drive.describe()}, frame, threads.count(), share)
+    errand = Errand(method, {"name": drive.name, **drive.describe()}, frame, threads.count(), share, every)
     command = [sys.executable, "-m", __name__]
     try:
         done = subprocess.run(command, input=pickle.dumps(errand), capture_output=True, timeout=timeout_s, check=False)
@@ -86,6 +92,8 @@ def run(errand: Errand) -> Scouted:
     drive = drives.reopen(errand.drive)
     if errand.share < 1:
         drive = Resized(drive, errand.share)
+    if errand.every > 1:
+        drive = FewerLines(drive, errand.every)
     frame, took, processor = drive[errand.frame], [], []
     try:
         with threads.limited(errand.threads), TemporaryDirectory() as folder:

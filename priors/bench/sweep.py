@@ -14,20 +14,29 @@ import numpy as np
 from eval import typeset
 from eval.typeset import Column, Table
 from priors.bench.entrants import Entrant
+from priors.bench.fewer_lines import LINES
 from priors.bench.scout import Scouted, send
 from priors.draw.lines import Line, Plot
 from priors.errors import DataError
+from priors.methods.completion import Completion
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
 from priors.types import Drive, Method
 
-Axis = Literal["size", "disparity", "sweeps"]
+Axis = Literal["size", "disparity", "sweeps", "lines"]
 AXES: tuple[Axis, ...] = get_args(Axis)
 SHARES = (0.25, 0.35, 0.5, 0.7, 1.0)
 """Of an image's side."""
 DISPARITIES_PX = (32, 64, 96, 128, 192, 256)
 SWEEPS = (1, 3, 5, 11, 21, 41)
-NAMES: dict[Axis, str] = {"size": "pixels", "disparity": "disparities searched, px", "sweeps": "sweeps accumulated"}
+EVERY = (8, 4, 2, 1)
+"""Which lines of a sweep are kept: every so many-th."""
+NAMES: dict[Axis, str] = {
+    "size": "pixels",
+    "disparity": "disparities searched, px",
+    "sweeps": "sweeps accumulated",
+    "lines": "scan lines",
+}
 UNCORRECTED = (0.0, 0.0, 0.0)
 """The rectification is not measured: it would be at every point."""
 FEWEST = 3
@@ -72,7 +81,7 @@ def sweep(
     """Measure how entrants grow along an axis, in turn from point to point.
 
     Args:
-        axis: the image's size, the disparities that stereo searches, or the sweeps that LiDAR accumulates.
+        axis: the image's size, the disparities that stereo searches, the sweeps that LiDAR accumulates, or their lines.
         entrants: who takes part in a sweep of the size; the others are one method's.
         drive: whose frame it is.
         frame: its index.
@@ -86,7 +95,7 @@ def sweep(
     found: dict[str, list[Measured]] = {}
     errors: dict[str, str] = {}
     for x, share, name, method in points(axis, entrants, (height, width)):
-        told = scout(method, drive, frame, None, share)
+        told = scout(method, drive, frame, None, share, round(LINES / x) if axis == "lines" else 1)
         if told.error:
             errors.setdefault(name, told.error)
         else:
@@ -106,10 +115,13 @@ def points(axis: Axis, entrants: Sequence[Entrant], size: tuple[int, int]) -> li
         makes = [partial(Stereo, model, offset_px=UNCORRECTED) for model in ("classical", "cfnet")]
         fitting = [most_px for most_px in DISPARITIES_PX if most_px < width]
         return [(n, 1.0, _name(make()), make(max_disparity_px=n)) for n in fitting for make in makes]
+    if axis == "lines":
+        of_lines: tuple[tuple[str, Method], ...] = (("lidar", Lidar()), ("completion", Completion(source="lidar")))
+        return [(LINES / every, 1.0, name, method) for every in EVERY for name, method in of_lines]
     return [(count, 1.0, "lidar", Lidar(sweeps=count)) for count in SWEEPS]
 
 
-def lay_out(axis: Axis, grown: Sequence[Growth], caption: str) -> Table:
+def lay_out(over: str, grown: Sequence[Growth], caption: str) -> Table:
     """Lay out a row a way to make depth: slopes of processor time and of peak memory, and both ends."""
     columns = {
         "time": Column("slope of time", digits=2),
@@ -120,10 +132,10 @@ def lay_out(axis: Axis, grown: Sequence[Growth], caption: str) -> Table:
     }
     rows = [((growth.name,), _row(growth)) for growth in grown]
     notes = [f"{growth.name}: {growth.error}" for growth in grown if growth.error]
-    return typeset.lay_out(("method",), columns, rows, f"{caption}; over {NAMES[axis]}, processor time", notes)
+    return typeset.lay_out(("method",), columns, rows, f"{caption}; over {over}, processor time", notes)
 
 
-def plots(axis: Axis, grown: Sequence[Growth]) -> list[Plot]:
+def plots(over: str, grown: Sequence[Growth]) -> list[Plot]:
     """Draw time and memory over the work, both axes logarithmic."""
     figures: dict[str, Callable[[Scouted], float]] = {
         "processor time, ms": lambda told: 1e3 * told.processor_s,
@@ -136,7 +148,7 @@ def plots(axis: Axis, grown: Sequence[Growth]) -> list[Plot]:
                 for each in grown
                 if each.points
             ],
-            NAMES[axis],
+            over,
             label,
             x_scale="log",
             y_scale="log",

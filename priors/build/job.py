@@ -7,12 +7,12 @@ from functools import cached_property
 from typing import Any
 
 from priors import cache
+from priors.build.chains import Chains
 from priors.build.decided import ENTRY
 from priors.build.plan import Judge, Plan, make_plan
-from priors.build.work import CLAIMS, Work, tidy
+from priors.build.work import CLAIMS, Maker, Work, tidy
 from priors.cache import Prior
-from priors.cache.learned import ENTRY as ENTRY_LEARNED
-from priors.cache.learned import Freshness, WatchedDrive, keep
+from priors.cache.learned import Freshness, WatchedDrive
 from priors.cache.places import follow
 from priors.cache.sources import Digests
 from priors.errors import DataError, expect
@@ -37,6 +37,8 @@ class BuildReport:
     """Frame id -> one-line error."""
     left: list[str] = field(default_factory=list)
     """Ids of the frames of the plan that another build has made meanwhile."""
+    carried: list[str] = field(default_factory=list)
+    """Ids of those of `built` that were made of the frame before (`reuse`)."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +51,18 @@ class Job:
     prior: Prior
     distrust: bool = False
     """Whether maps count only after they were read: the folder's manifest was damaged or missing."""
+    reuse: int = 1
+    """How many frames share one map that is made whole; 1: each has its own."""
+
+    @cached_property
+    def chains(self) -> Chains:
+        """The frames that are made together."""
+        return Chains(self.drive, self.reuse)
 
     @cached_property
     def judge(self) -> Judge:
         """Tells of a frame whether it must be computed."""
-        freshness = Freshness(self.prior.folder, self.drive, Digests())
+        freshness = Freshness(self.prior.folder, self.chains.whole, Digests())
         return Judge(self.prior, (*self.method.reads, *self.filters.reads), self.distrust, freshness)
 
     def plan(self, selection: Selection = ALL) -> Plan:
@@ -61,7 +70,7 @@ class Job:
 
         Cached frames whose data has changed since, and damaged ones, are computed again.
         """
-        return make_plan(self.drive, selection, self.judge)
+        return make_plan(self.chains, selection, self.judge)
 
     def run(
         self,
@@ -98,24 +107,19 @@ class Job:
             work = self._work(on_frame, on_note)
             work.do(plan.todo, workers, on_note)
         built = sorted(work.built, key=lambda line: str(line["id"]))
-        return BuildReport(self.prior, plan, built, {**plan.failed, **work.failed}, sorted(work.left))
+        failed = {**plan.failed, **work.failed}
+        return BuildReport(self.prior, plan, built, failed, sorted(work.left), sorted(work.carried))
 
     def _work(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
         watched = WatchedDrive(self.drive)
         make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
-        learned = keep(self.prior.folder, watched.sources(self.judge.freshness.digests))
+        learned = watched.sources(self.judge.freshness.digests)
         cache.create(self.prior.folder, self.prior.manifest)
         follow(self.prior)
         self.prior.drop_stale()
-        return Work(
-            self.drive,
-            self.prior,
-            self.judge,
-            lambda frame: self.filters(make_depth(frame), frame),
-            on_frame,
-            {} if learned is None else {ENTRY_LEARNED: learned},
-        )
+        maker = Maker(make_depth, self.method.carry_on, self.filters)
+        return Work(self.chains, self.prior, self.judge, maker, on_frame, learned)
 
     def _restamp(self, plan: Plan) -> None:
         """Note the times of files that were copied, so that the next plan need not read them."""

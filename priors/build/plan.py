@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, field
 
+from priors.build.chains import Chains
 from priors.cache import Prior
 from priors.cache.learned import Freshness
 from priors.cache.sources import Sources, restamped
 from priors.errors import DataError
-from priors.selection import MotionGate, Selection, select, shard
-from priors.types import Drive, Frame, Input
+from priors.selection import MotionGate, Selection, select
+from priors.types import Frame, Input
 
 CACHED = "cached"
 """Why a frame that is done is skipped."""
@@ -102,11 +103,11 @@ class Judge:
         return why
 
 
-def make_plan(drive: Drive, selection: Selection, judge: Judge) -> Plan:
+def make_plan(chains: Chains, selection: Selection, judge: Judge) -> Plan:
     """Choose the frames to compute; frames that are cached, still or lack an input are skipped with the reason."""
-    plan = Plan()
+    plan, drive = Plan(), chains.drive
     gate = MotionGate(selection.min_motion)
-    moving = []
+    moving: dict[int, Frame] = {}
     for index in select(drive.ids, selection.frames):
         frame_id = drive.ids[index]
         try:
@@ -114,9 +115,9 @@ def make_plan(drive: Drive, selection: Selection, judge: Judge) -> Plan:
             if still := gate.reason(frame):
                 plan.skipped[frame_id] = still
             else:
-                moving.append((index, frame))
+                moving[index] = frame
         except DataError as error:
             plan.failed[frame_id] = str(error)
-    for index, frame in shard(moving, selection.shard):
-        plan.add(index, frame, judge)
+    for index in chains.shard(list(moving), selection.shard):
+        plan.add(index, moving[index], judge)
     return plan

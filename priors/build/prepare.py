@@ -6,6 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from priors import cache, keys
+from priors.build.chains import VERSION as REUSE_VERSION
+from priors.build.chains import check_reuse
 from priors.build.decided import ENTRY, decide
 from priors.build.job import Job
 from priors.cache import Prior
@@ -17,7 +19,9 @@ from priors.sky import VERSION as SKY_VERSION
 from priors.types import Drive, Frame, Input, Method
 
 
-def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder: Path = Path("cache")) -> Job:
+def prepare(
+    drive: Drive, method: Method, filters: Filters | None = None, folder: Path = Path("cache"), reuse: int = 1
+) -> Job:
     """Decide every 'auto' and find the prior's place in the cache; no map is made.
 
     Args:
@@ -25,25 +29,31 @@ def prepare(drive: Drive, method: Method, filters: Filters | None = None, folder
         method: how; 'auto' is decided on the drive's first frame.
         filters: what to leave out of the maps; default: nothing.
         folder: the cache.
+        reuse: frames at positions that are multiples of it are made whole, those after each of the one before.
 
     Raises:
+        UsageError: `reuse`, where the method or the drive does not allow it.
         DataError: no frame can be opened, a name cannot be a file's, or a later version of roadprior made the prior.
     """
     filters = filters or Filters()
     _check_names(drive)
     frame = _first_readable(drive)
+    check_reuse(reuse, method, frame)
     home = folder / drive.name
     fingerprint = drive.fingerprint()
     method, decided = decide(method, frame, home, fingerprint)
     manifest = _manifest(drive, frame, method, filters) | {"fingerprint": fingerprint}
+    if reuse > 1:
+        manifest["reuse"] = {"frames": reuse, "version": REUSE_VERSION}
     if decided is not None:
         manifest[ENTRY] = decided
     earlier = keys.find(home, manifest, type(method))
     if earlier is not None:
-        return Job(drive, method, filters, Prior(earlier.folder, {**manifest, "key": earlier.manifest["key"]}))
+        prior = Prior(earlier.folder, {**manifest, "key": earlier.manifest["key"]})
+        return Job(drive, method, filters, prior, reuse=reuse)
     key = keys.key(manifest, type(method))
     prior = Prior(home / f"{method.name}-{key}", {**manifest, "key": key})
-    return Job(drive, method, filters, prior, distrust=_has_lost_manifest(prior))
+    return Job(drive, method, filters, prior, _has_lost_manifest(prior), reuse)
 
 
 def _manifest(drive: Drive, frame: Frame, method: Method, filters: Filters) -> dict[str, Any]:
@@ -86,7 +96,7 @@ def _has_lost_manifest(prior: Prior) -> bool:
 
 def _first_readable(drive: Drive) -> Frame:
     """Return the first frame that can be opened; the last error where none can."""
-    reason = DataError(f"{drive.name}: no frames")
+    reason = DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
     for index in range(len(drive)):
         try:
             return drive[index]

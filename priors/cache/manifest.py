@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.files import write_bytes
-from priors.errors import DataError
+from priors.errors import DataError, unreadable
 
 FORMAT = 2
 FIRST_VERSION = 1
@@ -45,7 +45,7 @@ def read(folder: Path) -> dict[str, Any]:
     except (FileNotFoundError, NotADirectoryError) as error:
         raise DataError(f"{path}: no such file: not a prior's folder, or half written: {_MEND}") from error
     except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+        raise unreadable(path, error) from error
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise DataError(f"{path}: damaged manifest: {_MEND}") from error
 

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors import codecs
-from priors.errors import DataError, UsageError
+from priors.errors import DataError, UsageError, unreadable
 from priors.frame_ids import in_order
 from priors.text import read_lines, read_text
 from priors.types import Camera, Image, Matrix
@@ -113,7 +113,7 @@ def stems(folder: Path, suffixes: Iterable[str]) -> dict[str, Path]:
     except (FileNotFoundError, NotADirectoryError):
         return {}
     except OSError as error:
-        raise DataError(f"{folder}: cannot be listed ({error.strerror})") from error
+        raise DataError(f"{folder}: cannot be listed ({error.strerror}): chmod u+rx lets you") from error
     wanted = tuple(suffixes)
     found = {n.rpartition(".")[0]: folder / n for n in sorted(names) if n.lower().endswith(wanted) and n[0] != "."}
     return {id_: found[id_] for id_ in in_order(found)}
@@ -181,7 +181,7 @@ def digest(files: Iterable[Path]) -> str:
         try:
             sha.update(hashlib.sha256(file.read_bytes()).digest())
         except OSError as error:
-            raise DataError(f"{file}: cannot be read ({error.strerror})") from error
+            raise unreadable(file, error) from error
     return sha.hexdigest()
 
 

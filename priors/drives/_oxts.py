@@ -25,6 +25,7 @@ from priors.errors import DataError
 from priors.frame_ids import by_number
 from priors.geometry import invert
 from priors.motion import Trajectory
+from priors.poses import readable
 from priors.text import read_lines
 from priors.types import Matrix
 
@@ -143,12 +144,7 @@ class Track:
     @cached_property
     def path(self) -> Trajectory:
         """The trajectory of the recorded positions, by frame number; damaged records are left out."""
-        poses = {}
-        for number, id_ in self._by_number.items():
-            try:
-                poses[number] = self.record(id_).T_mercator_imu
-            except DataError:
-                continue  # it spoils its own frame only
+        poses = readable(self._by_number, lambda number: self.record(self._by_number[number]).T_mercator_imu)
         return Trajectory.of_numbers(poses, self._stamps)
 
     @cached_property

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.drives._points import only_points
-from priors.errors import DataError
+from priors.errors import DataError, unreadable
 
 TYPES = {
     "char": "i1",
@@ -35,7 +35,7 @@ def read_ply(path: Path) -> npt.NDArray[np.float32]:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+        raise unreadable(path, error) from error
     try:
         vertices = _parse(data)
     except (ValueError, KeyError, IndexError, UnicodeDecodeError) as error:

@@ -8,8 +8,8 @@ import numpy as np
 
 from priors.drive_around import DriveAround
 from priors.drives._files import revise
-from priors.errors import DataError
 from priors.geometry import invert
+from priors.poses import readable
 from priors.refined_poses import RefinedPoses
 from priors.types import Drive, Frame, Matrix, Sweep
 
@@ -72,10 +72,5 @@ class RefinedDrive(DriveAround):
     @cached_property
     def _recorded(self) -> list[Matrix | None]:
         """The drive's own poses."""
-        poses: list[Matrix | None] = []
-        for index in range(len(self.drive)):
-            try:
-                poses.append(self.drive[index].T_world_cam)
-            except DataError:
-                poses.append(None)
-        return poses
+        poses = readable(range(len(self.drive)), lambda index: self.drive[index].T_world_cam)
+        return [poses.get(index) for index in range(len(self.drive))]

@@ -12,9 +12,9 @@ from priors.drives._by_time import beside, nearest
 from priors.drives._camera_drive import CameraDrive, Files, Readers
 from priors.drives._files import read_sized
 from priors.drives._rectified import RectifiedCamera
-from priors.errors import DataError
 from priors.geometry import invert
 from priors.motion import Trajectory
+from priors.poses import readable
 from priors.types import Image, Matrix, Sweep
 
 
@@ -126,14 +126,7 @@ class TimedDrive(CameraDrive):
     @cached_property
     def _path(self) -> Trajectory:
         """The vehicle's trajectory at the sweeps, by their times; damaged poses are left out."""
-        poses = {}
-        for time in self._sweep_times:
-            try:
-                T_world_ego = self.T_world_ego(time)
-            except DataError:
-                continue  # it spoils its own frame only
-            if T_world_ego is not None:
-                poses[time] = T_world_ego
+        poses = readable(self._sweep_times, self.T_world_ego)
         return Trajectory.of_numbers(poses, {time: time * self.tick_s for time in poses})
 
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from priors.drives._points import check_reflectance, only_points
-from priors.errors import DataError
+from priors.errors import DataError, unreadable
 from priors.geometry import invert
 from priors.types import Matrix
 
@@ -41,7 +41,7 @@ def read_sweep_file(path: Path) -> npt.NDArray[np.float32]:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+        raise unreadable(path, error) from error
     for start, name in FORMATS.items():
         if data.startswith(start):
             raise DataError(f"{path}: is {name}: expected {WANTED}: convert it")

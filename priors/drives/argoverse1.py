@@ -42,6 +42,7 @@ from priors.drives._rectified import RectifiedCamera, to_pose
 from priors.errors import DataError
 from priors.geometry import convert_disparity, invert
 from priors.motion import Trajectory
+from priors.poses import readable
 from priors.text import read_json
 from priors.types import Depth, Image, Matrix, Sweep
 
@@ -227,14 +228,7 @@ class Argoverse1(CameraDrive):
     @cached_property
     def _path(self) -> Trajectory:
         """The vehicle's trajectory at the sweeps, by their nanoseconds; damaged poses are left out."""
-        poses = {}
-        for time in self._sweep_times:
-            try:
-                T_world_ego = self._T_world_ego(time)
-            except DataError:
-                continue  # it spoils its own frame only
-            if T_world_ego is not None:
-                poses[time] = T_world_ego
+        poses = readable(self._sweep_times, self._T_world_ego)
         return Trajectory.of_numbers(poses, {time: time * 1e-9 for time in poses})
 
     def _find_disparities(self) -> dict[int, Path]:

@@ -39,7 +39,7 @@ from priors.errors import DataError
 from priors.frame_ids import joined
 from priors.geometry import invert
 from priors.motion import Trajectory
-from priors.poses import WITH_ID, by_id, parse_pose, read_pose_lines
+from priors.poses import WITH_ID, by_id, parse_pose, read_pose_lines, readable
 from priors.text import Line, read_json
 from priors.types import Camera, Matrix, Sweep
 
@@ -181,14 +181,7 @@ class Folder(CameraDrive):
     @cached_property
     def _path(self) -> Trajectory:
         """The cameras' trajectory; lines that are no poses are left out."""
-        poses = {}
-        for position, id_ in enumerate(self.ids):
-            try:
-                T_world_cam = self.T_world_cam(id_)
-            except DataError:
-                continue  # it spoils its own frame only
-            if T_world_cam is not None:
-                poses[position] = T_world_cam
+        poses = readable(range(len(self.ids)), lambda position: self.T_world_cam(self.ids[position]))
         path = Trajectory.of_numbers(poses, {})
         return replace(path, names=[self.ids[position] for position in sorted(poses)])
 

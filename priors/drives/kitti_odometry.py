@@ -37,7 +37,7 @@ from priors.errors import DataError
 from priors.frame_ids import by_number, joined
 from priors.geometry import invert
 from priors.motion import Trajectory
-from priors.poses import by_id, parse_pose, read_pose_lines
+from priors.poses import by_id, parse_pose, read_pose_lines, readable
 from priors.text import Line, read_lines
 from priors.types import Camera, Matrix, Sweep
 
@@ -259,14 +259,7 @@ class KittiOdometry(CameraDrive):
     @cached_property
     def _path(self) -> Trajectory:
         """The trajectory of camera 0, by frame number; lines that are no poses are left out."""
-        poses = {}
-        for number in self._pose_lines:
-            try:
-                T_world_cam0 = self._T_world_cam0(str(number))
-            except DataError:
-                continue  # it spoils its own frame only
-            if T_world_cam0 is not None:
-                poses[number] = T_world_cam0
+        poses = readable(self._pose_lines, lambda number: self._T_world_cam0(str(number)))
         return Trajectory.of_numbers(poses, self._times)
 
     def _sweep_beside(self, number: int, offset: int) -> Sweep | None:

@@ -130,7 +130,7 @@ def shown(drive: Drive, numbers: FloatMap, id_: str) -> FloatMap:
 
 def _first_frame(drive: Drive, files: Mapping[str, Path]) -> Frame:
     """Return the first frame of the drive that can be opened, as a build's key takes it."""
-    reason = DataError(f"{drive.name}: no frames")
+    reason = DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
     for index in range(len(drive)):
         try:
             return drive[index]

@@ -19,7 +19,7 @@ from priors.pairs.read import Pair, baseline, find_range, measure_rectification,
 from priors.pairs.rectification import NONE, RectificationError
 from priors.pairs.rows import measure_rows, raise_rows
 from priors.sky import doubt, rows_below, sky_mask
-from priors.types import Depth, FloatMap, Frame, Image, Input, Method
+from priors.types import Depth, Earlier, FloatMap, Frame, Image, Input, Method
 
 CALIBRATING_CONFIDENCE = 0.9
 """Confidence of a network's pixels that the rectification error is measured on."""
@@ -154,6 +154,27 @@ class Stereo(Method):
             f"shift {error.shift_px:+.2f} px, tilt {error.tilt_px:+.2f} px, yaw {error.yaw_px:+.2f} px, "
             f"pitch {error.pitch_px:+.2f} px (docs/methods/stereo.md); --stereo.offset-px 0 0 0 leaves it uncorrected",
         ]
+
+    @property
+    def carries(self) -> bool:
+        """Tell that a map can be moved by the poses and checked against the next frame's pair."""
+        return True
+
+    @threads.limited(None)
+    def carry_on(self, frame: Frame, before: Earlier) -> Depth | None:
+        """Make a frame's map of the frame's before, for less than a third of the time; None where that fails.
+
+        Raises DataError as a whole map does.
+        """
+        from priors.methods._stereo_carried import carry_on
+
+        fx_baseline = frame.camera.fx * baseline(frame)
+        depth = carry_on(frame, self._level(read_pair(frame)), before, self.rectification, fx_baseline)
+        if depth is None:
+            return None
+        depth_m = np.minimum(depth.depth_m, np.float32(FARTHEST_M))
+        beyond = (depth.depth_m >= FARTHEST_M) & (self.network is not None)
+        return Depth(depth_m, np.where(beyond, np.float32(0), depth.trust()))
 
     @threads.limited(None)
     def __call__(self, frame: Frame) -> Depth:

@@ -14,7 +14,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from eval.files import write_bytes
-from priors.errors import DataError
+from priors.errors import DataError, unreadable
 
 FOLDER = Path(__file__).resolve().parents[1] / "weights"
 """What ships with the package: <net>-<size>.safetensors, each with a card (.md) beside it."""
@@ -49,7 +49,7 @@ def digest(path: Path) -> str:
     try:
         stat = path.stat()
     except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
+        raise unreadable(path, error) from error
     return _digest(path, stat.st_mtime_ns, stat.st_size)
 
 

@@ -50,13 +50,22 @@ def quick_match(left: Image, right: Image, max_disparity_px: int | None = None) 
         disparity_px (height, width) at the left view's own size and scale, left-right checked; 0 = no value.
     """
     height, width = left.shape[:2]
-    left, right = halve(as_grey(left)), halve(as_grey(right))
-    if max_disparity_px is None:
-        max_disparity_px = 2 * find_max_disparity(left, right)
-    half = _match_grey(left, right, (max_disparity_px + 1) // 2, 3)
+    half = half_match(left, right, max_disparity_px)
     size = (2 * half.shape[1], 2 * half.shape[0])
     full = cv2.resize(half, size, interpolation=cv2.INTER_NEAREST)[:height, :width]
     return np.multiply(full, np.float32(2), dtype=np.float32)
+
+
+def half_match(left: Image, right: Image, max_disparity_px: int | None = None) -> FloatMap:
+    """Match a pair at half size.
+
+    Returns:
+        disparity_px (half the height, half the width, rounded up) in pixels of the small images; 0 = no value.
+    """
+    left, right = halve(as_grey(left)), halve(as_grey(right))
+    if max_disparity_px is None:
+        max_disparity_px = 2 * find_max_disparity(left, right)
+    return _match_grey(left, right, (max_disparity_px + 1) // 2, 3)
 
 
 def find_max_disparity(left: Image, right: Image) -> int:

@@ -63,7 +63,7 @@ def _measured_best(drive: Drive, frame: Frame, cache: Path) -> Candidate | None:
 
 def open_some(drive: Drive, indices: Sequence[int]) -> list[Frame]:
     """Open a few frames that are spread evenly; DataError where none of all can be opened."""
-    frames, reason = [], DataError(f"{drive.name}: no frames")
+    frames, reason = [], DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
     for index in pick_middles(indices, LOOKED_AT) if indices else []:
         try:
             frames.append(drive[index])

@@ -30,6 +30,8 @@ def build_command(prior: Prior) -> str:
         own = upgrade(kind, prior.manifest.get("config", {}))
         changed = {name: value for name, value in own.items() if usual.get(name) != value}
         words += flags(changed, f"{prior.method}.")
+    if reuse := prior.manifest.get("reuse"):
+        words += ["--reuse", str(reuse["frames"])]
     for name, step in prior.manifest.get("filters", {}).items():
         if name == "TruthMask":
             words += ["--truth-mask"]

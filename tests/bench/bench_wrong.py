@@ -9,10 +9,10 @@ import argparse
 import tempfile
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from scored import fitted
 
 from nerf import fields
@@ -20,13 +20,13 @@ from nerf.config import Align, FitConfig, ModelConfig
 from nerf.evidence.check import check
 from nerf.prepare import SceneConfig, open_scene
 from nerf.scene import Scene
+from nerf.stress import spoilt
 from nerf.truths import Truths
 from priors import cache
 from priors.drives import open_drive
 from priors.machine import threads
 
-Floats = npt.NDArray[np.float32]
-SHARE, BLOB_PX, DRIFT = 0.3, 20, 0.2
+DRIFT = 0.2
 
 
 def main() -> None:
@@ -46,7 +46,7 @@ def main() -> None:
         for family in args.field:
             row(alone, truths, (family, "colours alone", "none"), args.steps)
             for kind in args.wrong:
-                wrong = replace(scene, depth_m=WRONG[kind](np.stack([scene.depth_m[n] for n in range(len(scene.ids))])))
+                wrong = WRONG[kind](scene)
                 for align in ("none", "auto", "learn") if kind == "drift" else ("none", "auto"):
                     row(wrong, truths, (family, kind, align), args.steps)
 
@@ -61,36 +61,21 @@ def row(scene: Scene, truths: Truths, case: tuple[str, str, Align], steps: int) 
     print(f"| {' | '.join(case)} | {psnr:.2f} | {abs_rel:.4f} |", flush=True)
 
 
-def at_random(depth_m: Floats, factor: float) -> Floats:
-    """Make SHARE of the values wrong, each by itself."""
-    wrong = np.random.default_rng(0).random(depth_m.shape) < SHARE
-    return np.where(wrong, np.float32(factor) * depth_m, depth_m)
-
-
-def in_blobs(depth_m: Floats, factor: float) -> Floats:
-    """Make SHARE of the values of each frame wrong, in squares of BLOB_PX."""
-    random, wrong = np.random.default_rng(0), np.zeros(depth_m.shape, bool)
-    for frame in wrong:
-        while frame.mean() < SHARE:
-            row, column = (int(random.integers(1 - BLOB_PX, size)) for size in frame.shape)
-            frame[max(row, 0) : row + BLOB_PX, max(column, 0) : column + BLOB_PX] = True
-    return np.where(wrong, np.float32(factor) * depth_m, depth_m)
-
-
-def drifting(depth_m: Floats) -> Floats:
+def drifting(scene: Scene) -> Scene:
     """Let the scale go up and down by DRIFT along the frames."""
+    depth_m = spoilt.depths(scene)
     along = 1 + DRIFT * np.sin(2 * np.pi * np.arange(len(depth_m)) / len(depth_m))
-    return depth_m * along[:, None, None].astype(np.float32)
+    return spoilt.with_depth(scene, depth_m * along[:, None, None].astype(np.float32))
 
 
-WRONG: dict[str, Callable[[Floats], Floats]] = {
-    "right": lambda depth_m: depth_m,
-    "x 0.5": lambda depth_m: np.float32(0.5) * depth_m,
-    "x 2": lambda depth_m: np.float32(2) * depth_m,
-    "30 % x 10": lambda depth_m: at_random(depth_m, 10),
-    "30 % x 10, blobs": lambda depth_m: in_blobs(depth_m, 10),
-    "30 % x 0.1": lambda depth_m: at_random(depth_m, 0.1),
-    "30 % x 0.1, blobs": lambda depth_m: in_blobs(depth_m, 0.1),
+WRONG: dict[str, Callable[[Scene], Scene]] = {
+    "right": spoilt.scaled(1.0),
+    "x 0.5": spoilt.scaled(0.5),
+    "x 2": spoilt.scaled(2.0),
+    "30 % x 10": spoilt.at_random,
+    "30 % x 10, blobs": spoilt.in_blobs,
+    "30 % x 0.1": partial(spoilt.at_random, factor=0.1),
+    "30 % x 0.1, blobs": partial(spoilt.in_blobs, factor=0.1),
     "drift": drifting,
 }
 
