@@ -24,6 +24,8 @@ from eval.stereo import DisparitySums
 FORMAT = 1
 GROUNDS = ("bg", "fg")
 """Background and foreground of KITTI's stereo benchmark, and of its names for their outliers: d1_bg, d1_fg."""
+FLICKER = "flicker"
+"""Entry of a result's info: how much the depth of a point differs from frame to frame, where that was measured."""
 Pooling = Literal["image", "pixel"]
 
 
@@ -83,8 +85,10 @@ class Result:
         return reduce(add, (row.depth for row in self.rows), DepthSums())
 
     def metrics(self, pooling: Pooling | None = None) -> dict[str, float]:
-        """Return all figures, pooled as the protocol says unless told otherwise."""
-        return figures(self.rows, pooling or self.protocol.pooling)
+        """Return all figures, pooled as the protocol says unless told otherwise; the flicker is the whole result's."""
+        measured = self.info.get(FLICKER)
+        between = {FLICKER: float(measured)} if isinstance(measured, int | float) else {}
+        return figures(self.rows, pooling or self.protocol.pooling) | between
 
     def by_range(self, pooling: Pooling | None = None) -> list[tuple[tuple[float, float], dict[str, float]]]:
         """Return the depth figures of each range [from, to), metres."""
@@ -108,7 +112,8 @@ class Result:
         twice = {row.frame for row in self.rows} & {row.frame for row in other.rows}
         if twice:
             raise ScoreError(f"frame {min(twice)} is in both results of {self.name}: merge each frame once")
-        return Result(self.protocol, self.rows + other.rows, self.info)
+        info = {name: value for name, value in self.info.items() if name != FLICKER}  # of these frames alone
+        return Result(self.protocol, self.rows + other.rows, info)
 
     def save(self, path: Path) -> None:
         """Write the result as JSON, atomically."""

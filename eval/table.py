@@ -37,6 +37,7 @@ COLUMNS = {
     "bad_1": Column("bad-1", "%", digits=2),
     "bad_2": Column("bad-2", "%", digits=2),
     "bad_3": Column("bad-3", "%", digits=2),
+    "flicker": Column("flicker", "%", digits=2, scale=100),
     "ause_abs_rel": Column("AUSE AbsRel", digits=4),
     "ause_rmse": Column("AUSE RMSE", "m"),
 }
@@ -50,6 +51,7 @@ DEPTH_COLUMNS = (
     "delta_1",
     "delta_2",
     "delta_3",
+    "flicker",
     "density_image",
 )
 PROTOCOL_COLUMNS = {
@@ -57,7 +59,7 @@ PROTOCOL_COLUMNS = {
     "stereo2015": ("density", "epe", "d1", "d1_bg", "d1_fg", "bad_1", "bad_2", "bad_3", "density_image"),
 }
 """What the readers of a protocol expect to see; DEPTH_COLUMNS for all others."""
-IF_KNOWN = ("d1_bg", "d1_fg")
+IF_KNOWN = ("d1_bg", "d1_fg", "flicker")
 """Columns that stand only where a result has the figure: few truths tell foreground and background apart."""
 USUAL_BRIEF = ("abs_rel", "rmse", "delta_1", "density")
 BRIEF_COLUMNS = {"kitti-completion": ("rmse", "mae", "density"), "stereo2015": ("epe", "d1", "density")}

@@ -49,7 +49,7 @@ def _long_name(prior: Prior) -> str:
 
 def _described(prior: Prior) -> dict[str, str]:
     """Return what is unusual about a prior, in words, by setting and filter."""
-    usual, own = _usual_and_own(prior)
+    usual, own = map(_flat, _usual_and_own(prior))
     words = {key: f"{key}={_short(value)}" for key, value in own.items() if usual.get(key, value) != value}
     reuse = prior.manifest.get("reuse")
     if isinstance(reuse, dict):
@@ -71,6 +71,15 @@ def _short(value: Any) -> str:
 def _words(name: str, values: dict[str, Any]) -> str:
     shown = [f"{value:g}" for key, value in values.items() if key not in ("seed", "version")]
     return " ".join([name, *shown])
+
+
+def _flat(settings: Record) -> Record:
+    """Return settings with those of nested configs beside the others: {"stereo.model": "cfnet"}."""
+    flat: Record = {}
+    for key, value in settings.items():
+        nested = _flat(value) if isinstance(value, dict) else None
+        flat |= {key: value} if nested is None else {f"{key}.{name}": inner for name, inner in nested.items()}
+    return flat
 
 
 def _usual_and_own(prior: Prior) -> tuple[Record, Record]:

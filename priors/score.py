@@ -13,11 +13,12 @@ from dataclasses import dataclass, field, replace
 
 from eval.curves import Curves, Metric, ScoredPixels, best, curves, join
 from eval.protocol import Protocol, preset
-from eval.result import Comparison, Result
+from eval.result import FLICKER, Comparison, Result
 from eval.result import score as score_frames
 from priors import drives
 from priors.cache import Prior
 from priors.errors import DataError
+from priors.flicker import flicker_of
 from priors.machine import threads
 from priors.naming import labels
 from priors.selection import select
@@ -132,6 +133,7 @@ def score_pairs(
     name: str | None = None,
     keep_pixels: bool = False,
     on_frame: Callable[[str], None] = lambda frame_id: None,
+    temporal: bool = False,
 ) -> Score:
     """Score the maps of a prior and keep the result as metrics.json beside them.
 
@@ -142,6 +144,7 @@ def score_pairs(
         keep_pixels: whether to keep the scored pixels of a prior with a confidence; curves are made of them. They take
             24 bytes a pixel.
         on_frame: told the id of each frame when it is scored.
+        temporal: whether to measure the flicker too, see priors/flicker.py.
     """
     prior = pairs.prior
     truth = drives.truth_of(pairs.drive.describe()) if pairs.against is None else pairs.against.name
@@ -154,6 +157,9 @@ def score_pairs(
         result = score_frames(
             _telling(pairs, on_frame), protocol, pairs.fx_baseline, info, parts.append if kept else None
         )
+        if temporal:
+            value = flicker_of(prior, pairs.drive, pairs.ids, pairs.against)
+            result = replace(result, info={**result.info, FLICKER: value})
     unsaved = None
     try:
         result.save(prior.folder / "metrics.json")

@@ -62,10 +62,15 @@ def sky_mask(image: Image) -> Mask:
 
 
 def doubt(depth: Depth, sky: Mask) -> Depth:
-    """Return a depth map whose confidence is 0 in the sky (height, width); what it says of depth there stays."""
+    """Return a depth map whose confidences are 0 in the sky (height, width); what it says of depth there stays."""
     if depth.confidence is None:
         return depth
-    return replace(depth, confidence=np.where(sky, np.float32(0), depth.confidence))
+    relative = depth.within_5_percent
+    return replace(
+        depth,
+        confidence=np.where(sky, np.float32(0), depth.confidence),
+        within_5_percent=None if relative is None else np.where(sky, np.float32(0), relative),
+    )
 
 
 def rows_below(sky: Mask, margin: int = 16) -> slice:

@@ -46,6 +46,9 @@ class Depth:
     consistency: FloatMap | None = None
     """(height, width) float32 in [0, 1]: a second confidence, how well the neighbouring frames' maps agree; None where
     nobody compared them."""
+    within_5_percent: FloatMap | None = None
+    """(height, width) float32 in [0, 1]: the probability that the depth is right within 5 % of it, 0 where depth_m is
+    0; None where the method cannot tell."""
 
     def __repr__(self) -> str:
         """Tell size and values in a line: the arrays themselves are long."""
@@ -83,7 +86,7 @@ class Depth:
         """Return the map with everything outside mask (height, width) made invalid."""
         kept = [
             None if part is None else np.where(mask, part, np.float32(0))
-            for part in (self.confidence, self.consistency)
+            for part in (self.confidence, self.consistency, self.within_5_percent)
         ]
         return Depth(np.where(mask, self.depth_m, np.float32(0)), *kept)
 

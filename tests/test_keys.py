@@ -49,7 +49,13 @@ KNOWN = {
     },
     "encoding": "kitti",
 }
-PINNED = {"completion": "673932937f", "lidar": "b9b776c9ee", "mono": "e41162b31d", "stereo": "40ad1de7c7"}
+PINNED = {
+    "completion": "673932937f",
+    "fused": "216eeb3f3e",
+    "lidar": "b9b776c9ee",
+    "mono": "e41162b31d",
+    "stereo": "40ad1de7c7",
+}
 
 
 @pytest.mark.parametrize("name", methods.names())

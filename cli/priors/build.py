@@ -17,6 +17,7 @@ from priors import build, methods
 from priors.bench.budget import Budget
 from priors.build import BuildReport, Job, Plan
 from priors.build.chains import MOST
+from priors.build.temporal import MOST as MOST_NEIGHBOURS
 from priors.cache import load
 from priors.cache.manifest import NewerFormatError
 from priors.drives import poses_of
@@ -38,6 +39,7 @@ examples:
   priors build street/ --method completion --sky mask --clip 80 --frames 0:20
   priors build street/ --method mono --mono.adapt lidar       fine-tune on the drive first, a minute or two
   priors build street/ --method stereo --keep 0.9228          keep the most confident 92.28 %
+  priors build street/ --method stereo --temporal 2           steady from frame to frame, by the poses
   priors build street/ --method stereo --shard 3/8            the third of eight machines
   priors build street/ --method stereo --reuse 4              a map in four is made whole: half the time
   priors build street/ --method lidar --dry-run               what would be computed, what not and why
@@ -61,6 +63,9 @@ class BuildArguments(ThreadArguments, SequenceArguments):
     reuse: int = 1
     """Make every N-th map whole, and the N - 1 after it of the one before: moved by the poses, checked against the
     pair, made whole where that fails. For stereo, where frames lie close together; 1: make all whole."""
+    temporal: int = 0
+    """Join each map with those of so many frames before and after it, by the poses: 2 halves the flicker. The
+    neighbours' maps are read from the cache, and built where they lack. 0: none."""
     workers: int = 2
     """Frames computed at the same time; with --reuse, chains of N frames."""
     dry_run: bool = False
@@ -70,6 +75,7 @@ class BuildArguments(ThreadArguments, SequenceArguments):
         super().__post_init__()
         expect_between(1, self.workers, MOST_THREADS, "--workers")
         expect_between(1, self.reuse, MOST, "--reuse")
+        expect_between(0, self.temporal, MOST_NEIGHBOURS, "--temporal")
         if self.budget is not None:
             Budget.parse(self.budget)
         self.chosen()
@@ -113,7 +119,9 @@ def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:
     """Open the drive, decide what is left open, and find out what is to be computed."""
     drive = args.open(["priors", "build", *typed])
     indices = select(drive.ids, args.chosen().frames)  # wrong frames are told before anything is compiled
-    job = build.prepare(drive, _settings(args, drive, indices, typed), args.filters, args.cache, args.reuse)
+    job = build.prepare(
+        drive, _settings(args, drive, indices, typed), args.filters, args.cache, args.reuse, args.temporal
+    )
     for flag, reader in _unread_flags(job.method, typed).items():
         err.print(f"{flag}: not used here: it is read with {reader}")
     _tell_of_unused(job)

@@ -37,6 +37,7 @@ examples:
   priors eval cache/ --protocol garg --frames 5:17 --save table.md
   priors eval cache/ --save report.html                      a page with table, plots and pictures
   priors eval cache/DRIVE/stereo-KEY --truth KITTI/depth --ranges --curves curves.svg
+  priors eval cache/ --temporal                              how steady the maps are from frame to frame
   priors eval cache/ --against cache/DRIVE/lidar-KEY         another prior as truth
   priors eval a/metrics.json b/metrics.json --save table.tex  a table of results made before
 """
@@ -70,6 +71,8 @@ class ScoreArguments:
     """Columns of the table, e.g. abs_rel rmse d1, or as tables print them; default: the protocol's usual ones."""
     long: bool = False
     """Name each prior with every setting that is not usual, not only with what differs between rows."""
+    temporal: bool = False
+    """Also measure the flicker: how much the depth of a still point differs from frame to frame, by the poses."""
     ranges: bool = False
     """Also print AbsRel and RMSE by true distance."""
     curves: Path | None = None
@@ -228,7 +231,7 @@ def score_prior(scored: DriveScores, name: str, drive: Drive, args: ScoreArgumen
     prior = scored.priors[name]
     pairs = pair(prior, drive, args.frames, None if args.against is None else cache.only(args.against))
     with progress(name, len(pairs)) as step:
-        one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step)
+        one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step, args.temporal)
     scored.results.append(one.result)
     scored.left_out.update({f"{name}, frame {id_}": why for id_, why in pairs.left_out.items()})
     if one.unsaved is not None:

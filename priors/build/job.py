@@ -10,7 +10,7 @@ from priors import cache
 from priors.build.chains import Chains
 from priors.build.decided import ENTRY
 from priors.build.plan import Judge, Plan, make_plan
-from priors.build.work import CLAIMS, Maker, Work, tidy
+from priors.build.work import CLAIMS, MadeOfMaps, Maker, Work, tidy
 from priors.cache import Prior
 from priors.cache.learned import Freshness, WatchedDrive
 from priors.cache.places import follow
@@ -19,7 +19,7 @@ from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
 from priors.selection import Selection
-from priors.types import Drive, Method
+from priors.types import Depth, Drive, Frame, Method
 
 ALL = Selection()
 
@@ -53,6 +53,8 @@ class Job:
     """Whether maps count only after they were read: the folder's manifest was damaged or missing."""
     reuse: int = 1
     """How many frames share one map that is made whole; 1: each has its own."""
+    join: Callable[[Callable[[str], None]], MadeOfMaps] | None = None
+    """Opens what makes a frame's map of others in the cache, told whom to tell notes; None: the method makes it."""
 
     @cached_property
     def chains(self) -> Chains:
@@ -104,16 +106,19 @@ class Job:
         for note in self.method.notes():
             on_note(note)
         with threads.limited(threads.count()):
-            work = self._work(on_frame, on_note)
+            work = self.begin(on_frame, on_note)
             work.do(plan.todo, workers, on_note)
         built = sorted(work.built, key=lambda line: str(line["id"]))
         failed = {**plan.failed, **work.failed}
         return BuildReport(self.prior, plan, built, failed, sorted(work.left), sorted(work.carried))
 
-    def _work(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
+    def begin(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
         watched = WatchedDrive(self.drive)
-        make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
+        if self.join is not None:
+            make_depth: Callable[[Frame], Depth] = self.join(on_note)
+        else:
+            make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
         learned = watched.sources(self.judge.freshness.digests)
         cache.create(self.prior.folder, self.prior.manifest)
         follow(self.prior)

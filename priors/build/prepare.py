@@ -1,5 +1,6 @@
 """Prepare: every 'auto' is decided and the prior's place in the cache is found; no map is made."""
 
+from functools import partial
 from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
@@ -10,6 +11,7 @@ from priors.build.chains import VERSION as REUSE_VERSION
 from priors.build.chains import check_reuse
 from priors.build.decided import ENTRY, decide
 from priors.build.job import Job
+from priors.build.temporal import Joined, expect_poses, record_of
 from priors.cache import Prior
 from priors.cache.manifest import NewerFormatError
 from priors.errors import DataError
@@ -20,7 +22,12 @@ from priors.types import Drive, Frame, Input, Method
 
 
 def prepare(
-    drive: Drive, method: Method, filters: Filters | None = None, folder: Path = Path("cache"), reuse: int = 1
+    drive: Drive,
+    method: Method,
+    filters: Filters | None = None,
+    folder: Path = Path("cache"),
+    reuse: int = 1,
+    temporal: int = 0,
 ) -> Job:
     """Decide every 'auto' and find the prior's place in the cache; no map is made.
 
@@ -30,10 +37,12 @@ def prepare(
         filters: what to leave out of the maps; default: nothing.
         folder: the cache.
         reuse: frames at positions that are multiples of it are made whole, those after each of the one before.
+        temporal: join each map with those of so many frames before and after it (priors/fusion/moments.py).
 
     Raises:
         UsageError: `reuse`, where the method or the drive does not allow it.
-        DataError: no frame can be opened, a name cannot be a file's, or a later version of roadprior made the prior.
+        DataError: no frame can be opened, the drive has no poses to join maps by, a name cannot be a file's,
+            or a later version of roadprior made the prior.
     """
     filters = filters or Filters()
     _check_names(drive)
@@ -45,15 +54,20 @@ def prepare(
     manifest = _manifest(drive, frame, method, filters) | {"fingerprint": fingerprint}
     if reuse > 1:
         manifest["reuse"] = {"frames": reuse, "version": REUSE_VERSION}
+    kind: dict[str, Any] = {"reuse": reuse}
+    if temporal:
+        expect_poses(drive, frame)
+        manifest["filters"] = {**record_of(temporal), **manifest["filters"]}
+        kind = {"join": partial(Joined.open, prepare(drive, method, None, folder, reuse), temporal)}
     if decided is not None:
         manifest[ENTRY] = decided
     earlier = keys.find(home, manifest, type(method))
     if earlier is not None:
         prior = Prior(earlier.folder, {**manifest, "key": earlier.manifest["key"]})
-        return Job(drive, method, filters, prior, reuse=reuse)
+        return Job(drive, method, filters, prior, **kind)
     key = keys.key(manifest, type(method))
     prior = Prior(home / f"{method.name}-{key}", {**manifest, "key": key})
-    return Job(drive, method, filters, prior, _has_lost_manifest(prior), reuse)
+    return Job(drive, method, filters, prior, _has_lost_manifest(prior), **kind)
 
 
 def _manifest(drive: Drive, frame: Frame, method: Method, filters: Filters) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 from priors.build.chains import Chains, Step
 from priors.build.plan import CACHED, Judge
@@ -28,6 +28,19 @@ POLL_S = 0.3
 """How often to look whether another build has finished a frame."""
 
 
+@runtime_checkable
+class MadeOfMaps(Protocol):
+    """What makes a frame's depth of other maps in the cache."""
+
+    def __call__(self, frame: Frame) -> Depth:
+        """Make the frame's depth map."""
+        ...
+
+    def read_for(self, frame_id: str) -> DriveSources:
+        """Return the files, by frame, that the maps were made of which a frame's map was made of."""
+        ...
+
+
 @dataclass(frozen=True)
 class Maker:
     """How a frame's map comes about."""
@@ -36,6 +49,10 @@ class Maker:
     carry_on: Callable[[Frame, Earlier], Depth | None]
     """Makes it of the map before; None where that fails."""
     filters: Callable[[Depth, Frame], Depth]
+
+    def read_for(self, frame_id: str) -> DriveSources:
+        """Return the files, by frame, that decided a frame's map through other maps in the cache."""
+        return self.whole.read_for(frame_id) if isinstance(self.whole, MadeOfMaps) else {}
 
 
 @dataclass
@@ -125,7 +142,7 @@ class Work:
         seconds = time.perf_counter() - start
         LOG.info("frame %s: %.3f s%s", frame.id, seconds, "" if carried is None else ", of the frame before")
         sources = watched.sources(self.judge.freshness.digests)
-        made_before = {} if before is None else before.sources
+        made_before = self.maker.read_for(frame.id) | ({} if before is None else before.sources)
         if write:
             kept = keep(self.prior.folder, self.learned | made_before)
             beside: Sources = {} if kept is None else {ENTRY: kept}

@@ -4,6 +4,7 @@
                                 /depth/<id>.png         uint16, metres x 256, rounded, 0 = no value
                                 /confidence/<id>.png    uint16, confidence x 65535 (8 bits are read too)
                                 /consistency/<id>.png   the same: a second confidence, where somebody made one
+                                /confidence_relative/<id>.png  the same: the probability of an error within 5 %
                                 /frames.jsonl           one line a computed frame (journal.py, sources.py)
                                 /learned/<name>.json    what was read of other frames before the first map (learned.py)
                                 /claims/<id>            who computes it just now (priors/owner)

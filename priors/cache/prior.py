@@ -25,8 +25,8 @@ from priors.errors import DataError
 from priors.frame_ids import in_order
 from priors.types import Depth, FloatMap
 
-CONFIDENCES = ("confidence", "consistency")
-"""Maps that may stand beside the depth, coded alike, each in a folder of its name."""
+CONFIDENCES = ("confidence", "consistency", "confidence_relative")
+"""Maps that may stand beside the depth, coded alike, each in a folder of its name: the fields of a Depth, in order."""
 MEND = "run the same `priors {}` again"
 _PNG_END = b"IEND\xaeB`\x82"
 
@@ -75,7 +75,7 @@ class Prior:
         return self.path("confidence", frame_id)
 
     def path(self, kind: str, frame_id: str) -> Path:
-        """Return where a frame's map of a kind (depth, confidence, consistency) is, or will be."""
+        """Return where a frame's map of a kind (depth, or one of CONFIDENCES) is, or will be."""
         return self.folder / kind / f"{frame_id}.png"
 
     def ids(self) -> list[str]:
@@ -196,7 +196,7 @@ class Prior:
             if values.shape != size:
                 found = " and ".join(map(str, (values.shape, size)))
                 raise DamagedError(f"{self.path(kind, frame_id)}: sizes differ, {found}: {self._mend}")
-        return Depth(maps["depth"], maps.get("confidence"), maps.get("consistency"))
+        return Depth(maps["depth"], *map(maps.get, CONFIDENCES))
 
     def _decode(self, kind: str, data: bytes, path: Path, written: Line | None) -> FloatMap:
         """Return what a file holds; DamagedError where it is not what was written, or no map at all."""
@@ -255,8 +255,8 @@ def describe(depth: Depth) -> dict[str, float | None]:
 
 def _confidences(depth: Depth) -> dict[str, FloatMap]:
     """Return the confidences that a map has, by their kind."""
-    parts = {"confidence": depth.confidence, "consistency": depth.consistency}
-    return {kind: part for kind, part in parts.items() if part is not None}
+    parts = zip(CONFIDENCES, (depth.confidence, depth.consistency, depth.within_5_percent), strict=True)
+    return {kind: part for kind, part in parts if part is not None}
 
 
 def _identity(data: bytes) -> Line:

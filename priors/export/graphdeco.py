@@ -115,7 +115,8 @@ def centred(view: View) -> View:
     def image() -> Image:
         return np.ascontiguousarray(whole.image()[window])
 
-    parts = (view.depth.depth_m, view.depth.confidence, view.depth.consistency)
+    depth = view.depth
+    parts = (depth.depth_m, depth.confidence, depth.consistency, depth.within_5_percent)
     cut = [None if part is None else np.ascontiguousarray(part[window]) for part in parts]
     camera: Camera = crop(view.camera, top, left, (rows, columns))
     frame = replace(whole, camera=camera, readers={**whole.readers, "image": image})

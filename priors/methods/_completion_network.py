@@ -52,7 +52,7 @@ def correct(
         right = -torch.expm1(-WITHIN * torch.exp(-out.log_scale))
         for value, target in ((out.depth_m.clamp_(*limits_m), depth_m), (right, confidence)):
             np.multiply(value[0].cpu().numpy()[: near[rows].shape[0], : near.shape[1]], near[rows], out=target[rows])
-    return Depth(depth_m, confidence)
+    return Depth(depth_m, confidence, within_5_percent=confidence)
 
 
 def span(near: Mask) -> slice:

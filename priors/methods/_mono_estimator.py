@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from priors.codecs import FARTHEST_M
+from priors.error_model import WITHIN, chance_of
 from priors.methods._mono_align import Aligner
 from priors.methods._reference import ReferenceDepth
 from priors.types import Camera, Depth, Drive, FloatMap, Frame, Image
@@ -47,7 +48,9 @@ class Estimator:
             return Depth(depth_m)
         with np.errstate(divide="ignore"):
             right = -np.expm1(-np.float32(TOLERANCE_M) / (depth_m * prediction.log_error))
-        return Depth(depth_m, np.where(depth_m > 0, right, np.float32(0)).astype(np.float32))
+        relative = chance_of(depth_m, prediction.log_error, WITHIN)
+        trust = np.where(depth_m > 0, right, np.float32(0)).astype(np.float32)
+        return Depth(depth_m, trust, within_5_percent=relative)
 
 
 def by_frame(aligner: Aligner, reference: ReferenceDepth) -> Align:

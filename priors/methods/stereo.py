@@ -9,6 +9,7 @@ import numpy as np
 
 from eval.calibration import Tolerance
 from priors.codecs import FARTHEST_M
+from priors.error_model import PIXEL, WITHIN, chance_of, spread_of
 from priors.errors import DataError, UsageError, expect, expect_between, expect_choices
 from priors.machine import threads
 from priors.methods import _stereo_choice
@@ -196,10 +197,14 @@ class Stereo(Method):
         np.maximum(disparity_px, least_px, out=disparity_px)
         depth_m = np.where(matched, np.float32(fx_baseline) / disparity_px, np.float32(0))
         if self.network is None:
+            spread = trust / disparity_px
             trust = classical.probability(disparity_px, trust, fx_baseline)
         else:
             matched &= ~beyond  # the disparity of the sky may be right, but its depth is not known
-        return doubt(Depth(depth_m, np.where(matched, trust, np.float32(0))), pair.restore(sky))
+            spread = spread_of(depth_m, trust, PIXEL, fx_baseline)
+        relative = chance_of(depth_m, spread, WITHIN)
+        trust, relative = (np.where(matched, chance, np.float32(0)) for chance in (trust, relative))
+        return doubt(Depth(depth_m, trust, within_5_percent=relative), pair.restore(sky))
 
     def _search_beyond(self, needed_px: int) -> int:
         """Return how far to search where the scene needs so much, px: a network's header says how far beyond."""
