@@ -86,19 +86,25 @@ def test_a_straight_camera_s_images_are_left_alone(tmp_path: Path) -> None:
     np.testing.assert_array_equal(frame.camera.K, K)
 
 
-def test_the_study_s_release(tmp_path: Path) -> None:
-    """Poses as text without points, truth in depths_gt, others' priors beside."""
+def test_the_study_s_release(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Poses as text without points, truth in depths_gt, others' priors beside, which lack the upper rows."""
     written = write_colmap(tmp_path, "PINHOLE", binary=False)
     (tmp_path / "sparse" / "0" / "points3D.txt").write_text("")
     for view in written.views:
         stem = Path(view.name).stem
         codecs.write_depth_png(tmp_path / "depths_gt" / f"{stem}.png", view.depth_m)
-        codecs.write_depth_png(tmp_path / "depths_mono_crop" / f"{stem}.png", 1.1 * view.depth_m)
+        cropped_m = 1.1 * view.depth_m
+        cropped_m[: len(cropped_m) // 3] = 0
+        codecs.write_depth_png(tmp_path / "depths_mono_crop" / f"{stem}.png", cropped_m)
     drive = open_drive(tmp_path)
     for frame, view in zip(drive, written.views, strict=True):
         np.testing.assert_allclose(frame.truth().depth_m, view.depth_m, atol=0.51 / 256)
     notes = [finding.message for finding in check(drive)]
     assert any("depth maps of others beside: depths_mono_crop: `priors import` takes them" in note for note in notes)
+    home = str(tmp_path / "cache")
+    mono = ["--depth", str(tmp_path / "depths_mono_crop"), "--unit", "1/256"]
+    assert PROGRAM.run(["import", str(tmp_path), *mono, "--cache", home]) == 0
+    assert PROGRAM.run(["eval", home]) == 0 and "imported depths_mono_crop" in capsys.readouterr().out
     (tmp_path / "depths_gt").rename(tmp_path / "depths")  # as for Argoverse
     assert open_drive(tmp_path)[0].has("truth")
     (tmp_path / "depths").rename(tmp_path / "elsewhere")

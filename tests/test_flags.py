@@ -18,8 +18,8 @@ from priors.errors import DataError
 HUGE = 10**30
 WRONG: dict[type, tuple[Any, ...]] = {int: (-5, HUGE), float: (math.nan, -1.0, -math.inf), str: ("", "a:b:c:d")}
 """What no flag of a kind may take; SIGNED and NAMES are the exceptions."""
-SIGNED = {"stereo.offset-px"}
-"""Numbers that may be below 0."""
+SIGNED = ("stereo.offset-px", "stereo.rows-px")
+"""How flags end whose numbers may be below 0."""
 NAMES = {"drive", "camera", "host"}
 """Texts that may be anything but empty."""
 
@@ -82,7 +82,7 @@ TRIED = [
     for key, flag in FLAGS.items()
     for kind in flag.kinds & WRONG.keys()
     for value in WRONG[kind]
-    if not (flag.name in SIGNED and isinstance(value, float) and math.isfinite(value))
+    if not (flag.name.endswith(SIGNED) and isinstance(value, float) and math.isfinite(value))
     if not (flag.name in NAMES and value)
 ]
 

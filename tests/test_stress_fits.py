@@ -10,7 +10,7 @@ import pytest
 from cli.nerf import PROGRAM
 from nerf.finite import NotFiniteError
 from nerf.stress import fit_page, fit_scene, fits, spoilt
-from nerf.stress.fits import ALIKE, FINITE, RIGHT, Case, Row
+from nerf.stress.fits import ALIKE, FEWER, FINITE, RIGHT, Case, Row
 
 pytestmark = pytest.mark.stress
 
@@ -32,9 +32,10 @@ def test_what_is_spoilt(opened: tuple[fit_scene.Scene, fit_scene.Truths]) -> Non
     black = spoilt.with_a_black_frame(scene)
     assert sum(not black.images[position].any() for position in scene.train) == 1
     assert np.array_equal(spoilt.depths(black), right)
+    assert len(spoilt.without_a_frame(scene).train) == len(scene.train) - 1
 
 
-RIGHT_ROW = Row("right prior", 20.0, 0.05, "")
+OTHER = Row("right prior", 20.0, 0.05, "")
 
 
 @pytest.mark.parametrize(
@@ -51,7 +52,7 @@ RIGHT_ROW = Row("right prior", 20.0, 0.05, "")
     ],
 )
 def test_a_fit_is_judged_by_what_is_stated(found: tuple[float, float] | str, stated: str, fault: str) -> None:
-    assert fits._row(Case("any", stated), RIGHT_ROW, found).fault == fault
+    assert fits._row(Case("any", stated), OTHER if stated == ALIKE else None, found).fault == fault
 
 
 def test_a_refusal_is_a_row(
@@ -69,10 +70,12 @@ def test_a_refusal_is_a_row(
     assert [row.case for row in rows] == [case.name for case in fits.CASES] and not any(row.fault for row in rows)
     assert [row.told for row in rows if row.told] == ["the loss is not finite at step 3"]
     assert json.loads(json.dumps([row.record() for row in rows], allow_nan=False))[-6]["psnr"] is None
-    assert "16 fits, 0 not as stated" in fit_page.text(rows)
+    assert "17 fits, 0 not as stated" in fit_page.text(rows)
     assert fit_page.markdown(rows, "nerf stress --fits\n\na street").count("| as stated |") == 14
     only = fits.run(*opened, fits.config_of("ngp", 5), [fits.CASES[1]])
     assert [row.case for row in only] == [RIGHT.name, fits.CASES[1].name]
+    black = next(case for case in fits.CASES if "black" in case.name)
+    assert [row.case for row in fits.run(*opened, fits.config_of("ngp", 5), [black])] == [FEWER.name, black.name]
 
 
 def test_wrong_flags_are_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

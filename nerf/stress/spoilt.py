@@ -39,8 +39,17 @@ def in_blobs(scene: Scene, factor: float = FACTOR) -> Scene:
 def with_a_black_frame(scene: Scene) -> Scene:
     """Make the training frame in the middle black, as a camera that missed it gives it."""
     images = np.stack([np.asarray(scene.images[position]) for position in range(len(scene.ids))])
-    images[scene.train[len(scene.train) // 2]] = 0
+    images[_middle(scene)] = 0
     return replace(scene, images=images)
+
+
+def without_a_frame(scene: Scene) -> Scene:
+    """Leave that training frame out: what a fit with a black one should come to."""
+    return replace(scene, train=[position for position in scene.train if position != _middle(scene)])
+
+
+def _middle(scene: Scene) -> int:
+    return scene.train[len(scene.train) // 2]
 
 
 def depths(scene: Scene) -> Floats:
