@@ -47,6 +47,11 @@ def sky_mask(image: Image) -> Mask:
     Returns:
         (height, width), True where there is sky.
     """
+    return find_sky(image, load_weights())
+
+
+def find_sky(image: Image, rules: "tuple[Layers, Layers]") -> Mask:
+    """Tell by given rules which pixels (height, width) of an image are sky."""
     from priors.kernels import sky as kernels
 
     if image.size == 0:
@@ -54,7 +59,6 @@ def sky_mask(image: Image) -> Mask:
     image = np.ascontiguousarray(as_rgb(image))
     factor = block_side(image.shape[0], image.shape[1])
     colour, texture = kernels.shrink(image, factor)
-    rules = load_weights()
     first, normalised = describe(colour, texture)
     logit = apply_layers(rules[0], first)
     logit = apply_layers(rules[1], compare(first, normalised, logit))

@@ -11,7 +11,6 @@ from factories import write_folder
 from priors.bench import sweep as sweeps
 from priors.bench.entrants import Entrant
 from priors.bench.fewer_lines import FewerLines, line_of, thin
-from priors.bench.resized import Resized
 from priors.bench.scout import Errand, Scouted, run
 from priors.bench.sweep import Growth, Measured, lay_out, plots, points
 from priors.draw.lines import draw
@@ -19,6 +18,7 @@ from priors.drives import open_drive
 from priors.errors import DataError
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
+from priors.resized import Resized
 from priors.types import Method, Sweep
 
 pytestmark = pytest.mark.stress

@@ -51,9 +51,9 @@ KNOWN = {
 }
 PINNED = {
     "completion": "673932937f",
-    "fused": "216eeb3f3e",
+    "fused": "03255d1cf2",
     "lidar": "b9b776c9ee",
-    "mono": "e41162b31d",
+    "mono": "106892ed54",
     "stereo": "40ad1de7c7",
 }
 

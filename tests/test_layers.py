@@ -35,6 +35,7 @@ ROOMS = [
     "priors/keys",
     "priors/refined_poses",
     "priors/drives",
+    "priors/resized",
     "priors/places",
     "priors/sequences",
     "priors/pairs",

@@ -15,6 +15,7 @@ from test_splat_fit import config, psnr
 
 from nerf import checkpoint, fields
 from nerf.fit import fit
+from nerf.gaussians import model as model_of_splats
 from nerf.gaussians import virtual
 from nerf.gaussians.model import SplatModel
 from nerf.gaussians.virtual import PARTS, VirtualViews, is_virtual, pose_between, ways
@@ -95,6 +96,12 @@ def test_holes_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     assert counts is not None and (counts[:4] == 0).all() and counts[4:].mean() > 0.9
 
 
+@pytest.fixture
+def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Virtual views come from the first step on."""
+    monkeypatch.setattr(model_of_splats, "LAPS", 0)
+
+
 def trained(scene: Scene, share: float, steps: int = 60) -> SplatModel:
     settings = config(steps, start_step=3, virtual_views=share)
     model = fields.family("splat").start(scene, settings, "cpu")
@@ -104,6 +111,7 @@ def trained(scene: Scene, share: float, steps: int = 60) -> SplatModel:
     return model
 
 
+@pytest.mark.usefixtures("at_once")
 def test_held_out_views_gain_by_them() -> None:
     scene = corridor("1/8")
     with_them, without = trained(scene, 0.5), trained(scene, 0.0)
@@ -111,12 +119,14 @@ def test_held_out_views_gain_by_them() -> None:
     assert np.mean(gain) > 0.1
 
 
+@pytest.mark.usefixtures("at_once")
 def test_there_are_none_without_a_prior_or_a_second_frame() -> None:
     scene = corridor("4", prior=False)
     assert trained(scene, 0.5, 2)._virtual is None
     assert trained(replace(corridor("4"), train=[3]), 0.5, 2)._virtual is None
 
 
+@pytest.mark.usefixtures("at_once")
 def test_a_resumed_run_draws_the_same_views(tmp_path: Any) -> None:
     scene, settings = corridor("4"), config(12, virtual_views=0.4)
     whole = fit(scene, settings, tmp_path / "whole")
@@ -149,3 +159,16 @@ def test_a_run_of_before_goes_on_without_them(tmp_path: Any) -> None:
 def test_a_wrong_share_is_told_in_one_line() -> None:
     with pytest.raises((DataError, UsageError), match=r"--virtual-views 1.*a share from 0 to below 1"):
         config(1, virtual_views=1.0)
+
+
+def test_frames_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each is drawn LAPS times; then frames and virtual views take turns, and the prior pulls as much."""
+    monkeypatch.setattr(model_of_splats, "LAPS", 2)
+    scene, settings = corridor("4"), config(20, virtual_views=0.5)
+    model = fields.family("splat").start(scene, settings, "cpu")
+    assert isinstance(model, SplatModel)
+    shots = [model._shot(scene, settings, step) for step in range(2 * len(scene.train) + 6)]
+    first, later = shots[: 2 * len(scene.train)], shots[2 * len(scene.train) :]
+    assert sorted(shot.position for shot in first if shot.position is not None) == sorted(2 * scene.train)
+    assert [shot.position is None for shot in later] == 3 * [False, True]
+    assert {shot.share for shot in first} == {1.0} and {shot.share for shot in later[::2]} == {0.5}

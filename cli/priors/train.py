@@ -10,7 +10,7 @@ import tyro
 from cli.arguments import Device, parse
 from cli.console import busy, err, out, progress, train_progress
 from cli.mistakes import nearest
-from priors.errors import UsageError, expect_between
+from priors.errors import DataError, UsageError, expect_between
 from priors.learn.config import TrainConfig
 from priors.machine.device import pick_device
 from priors.selection import parse_shard
@@ -29,6 +29,7 @@ examples:
   priors train mono runs/bts --street samples/
   priors train pack runs/cfnet-s cfnet-s.safetensors    what `--stereo.weights` takes
   priors train calibrate cfnet-s.safetensors --street samples/    stereo's confidence, from what training held back
+  priors train calibrate mffnet-s.safetensors --street samples/ --real DATA    up to which density completion counts
 
 --help after any of these tells the rest"""
 
@@ -101,7 +102,7 @@ class CalibrateArguments:
     """Arguments of `priors train calibrate`."""
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """Weights of a stereo network; their header is rewritten."""
+    """Weights of a stereo or completion network; their header is rewritten."""
     street: Path = Path("samples")
     """Folder of `priors train samples`."""
     real: Path | None = None
@@ -195,16 +196,27 @@ def pack(args: PackArguments) -> None:
 
 
 def calibrate(args: CalibrateArguments) -> None:
-    """Fit a stereo network's confidence to its errors on what training held back."""
-    from priors.learn.confidence_calibration import calibrate_file
+    """Fit a stereo network's confidence, or a completion network's densities, to what training held back."""
+    from priors.learn import completion_gate, confidence_calibration
     from priors.learn.stereo_data import Folders
+    from priors.nets import weights
 
+    net = weights.read_about(args.file).get("net")
     with busy("calibrating"):
-        lines = calibrate_file(args.file, Folders(args.street, args.real, args.cache))
+        if net == "mffnet":
+            lines = completion_gate.calibrate_file(args.file, args.street, args.real)
+        elif net in STEREO:
+            lines = confidence_calibration.calibrate_file(args.file, Folders(args.street, args.real, args.cache))
+        else:
+            raise DataError(
+                f"{args.file}: of {net}, which has nothing to calibrate: a stereo or completion network has"
+            )
     for line in lines:
         out.print(line)
 
 
+STEREO = ("cfnet", "pcwnet")
+"""Networks whose confidence is calibrated."""
 KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
     "samples": (SamplesArguments, render_samples),
     "stereo": (StereoArguments, lambda args: train_network(args, stereo_task, args.net)),

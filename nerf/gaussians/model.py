@@ -37,6 +37,8 @@ CAP_M = 200.0
 """Depth counts as at most so much in the mean of a pixel."""
 LEAST_SIDE_PX = 11
 """Window of SSIM: smaller images are trained by L1 alone."""
+LAPS = 8
+"""Each training frame is learned from so many times before virtual views are: what they gain comes later."""
 Y0 = 0.28209479177387814
 """The spherical harmonic of degree 0."""
 
@@ -102,7 +104,7 @@ class SplatModel:
         shot = self._shot(scene, config, step)
         seen = self._splat.rasterise(self.gaussians, shot.viewpoint, self._drawing(progress))
         result = self._learn(shot, seen, config, (step, progress))
-        lap = math.ceil(len(scene.train) / (1 - self._virtual_share(scene)))
+        lap = math.ceil(len(scene.train) / (1 - self._virtual_share(scene, step)))
         if self.settings.densify and growth.is_due(step, lap, progress):
             made = growth.grown(self.gaussians, self.moments, self.growth, self.settings.most_gaussians)
             self.gaussians, self.moments = made
@@ -111,16 +113,19 @@ class SplatModel:
 
     def _shot(self, scene: Scene, config: FitConfig, step: int) -> Shot:
         """Return what a step learns from: one of the training frames or, where there is a prior, a view between two."""
-        share = self._virtual_share(scene)
-        between = int(step * share)
-        if is_virtual(step, share):
+        share = self._virtual_share(scene, step)
+        later = step - LAPS * len(scene.train)
+        between = int(later * share)
+        if is_virtual(later, share):
             self._virtual = self._virtual or VirtualViews(scene, self.device)
             return self._virtual.shot(config.seed, between)
-        return shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
+        shot = shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
+        return replace(shot, share=1 - share)
 
-    def _virtual_share(self, scene: Scene) -> float:
-        """Return which share of the steps learns from virtual views: none where there is no prior."""
-        return self.settings.virtual_views if scene.depth_m is not None and len(scene.train) > 1 else 0.0
+    def _virtual_share(self, scene: Scene, step: int) -> float:
+        """Return which share of the steps learns from virtual views now; without a prior none does."""
+        later = step >= LAPS * len(scene.train)
+        return self.settings.virtual_views if later and scene.depth_m is not None and len(scene.train) > 1 else 0.0
 
     def _learn(self, shot: Shot, seen: Rasterised, config: FitConfig, at: tuple[int, float]) -> StepResult:
         """Go back from what is seen of a frame, and move the parameters."""
@@ -128,7 +133,7 @@ class SplatModel:
         rgb = self.backdrop.behind(seen, shot.viewpoint, TRAINED)
         share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
         colour = self._splat.colour_loss(rgb, shot.rgb, share, shot.counts)
-        rules = _for_fewer(config.losses, 1 - self.settings.virtual_views if shot.depth_m is not None else 1.0)
+        rules = _for_fewer(config.losses, shot.share)
         losses = geometry_losses(rules, shot, seen, config.rays, (config.seed, step))
         losses.d_opacity += self.backdrop.backward(seen, colour.d_rgb)
         gradients = self._splat.backward(seen, losses.gradients(colour.d_rgb))

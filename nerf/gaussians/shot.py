@@ -32,6 +32,8 @@ class Shot:
     """(h, w) 1 where the image shows sky; None: nobody knows."""
     counts: Tensor | None = None
     """(h, w) how much a pixel's colour counts; None: all alike."""
+    share: float = 1.0
+    """Share of the steps that know what this one knows of depth and sky."""
 
 
 def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device) -> Shot:

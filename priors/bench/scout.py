@@ -18,10 +18,10 @@ from typing import Any
 
 from priors import drives
 from priors.bench.fewer_lines import FewerLines
-from priors.bench.resized import Resized
 from priors.errors import DataError
 from priors.machine import cpu, threads
 from priors.machine.memory import keep_freed
+from priors.resized import Resized
 from priors.types import Drive, Method
 
 RUNS = 2

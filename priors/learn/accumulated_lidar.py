@@ -20,7 +20,7 @@ from priors.types import FloatMap, Frame, Mask, Matrix, Sweep
 
 SWEEPS, SURE = 9, 0.05
 """Sweeps accumulated, and the least confidence of a value to be truth."""
-INPUTS = (3, 5, 11)
+INPUTS = (2, 3, 5, 11)
 """Numbers of sweeps that a completion is given."""
 AROUND_PX, SLACK = (17, 13), 0.03
 """Truth lies between the own sweep's nearest and farthest samples in such a window, to within a share of them."""

@@ -18,6 +18,7 @@ from priors.adapt.training_step import Batch
 from priors.draw.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
 from priors.learn import lidar_scene
+from priors.learn.accumulated_lidar import INPUTS
 from priors.learn.lidar_dropout import CompletionExample, Density, drop_points
 from priors.learn.lidar_scene import LidarScene
 from priors.learn.real_scenes import RealScenes
@@ -27,7 +28,7 @@ from priors.nets.mffnet import Completed, Mffnet
 from priors.types import FloatMap, Image, Matrix
 
 CROP = (192, 448)
-DENSITIES = (Density(), Density(every=4), Density(every=8), Density(points=500), Density(sweeps=3), Density(sweeps=11))
+DENSITIES = (Density(), Density(every=4), Density(every=8), Density(points=500), *map(Density.accumulated, INPUTS))
 """What is shown for validation, in turn; a scene that has one sweep is shown by the first four."""
 RELATIVE = 20
 """Weight of the relative error against the absolute one in metres: equal at 20 m."""
@@ -143,6 +144,10 @@ class CompletionTask:
             drawn[name] = make_picture(example, batch["fill_m"][0].numpy(), out.depth_m[0].numpy())
         return drawn
 
+    def held_back(self) -> dict[str, list[CompletionExample]]:
+        """Return what is validated on, by source and density."""
+        return {name: [example for example, _ in pairs] for name, pairs in self._validation().items()}
+
     def _draw_scene(self, rng: np.random.Generator) -> LidarScene:
         """Draw a crop of a street or of a real scene, now and then mirrored, nearer or farther."""
         if self.real is not None and rng.random() < self.config.real_share:
@@ -171,7 +176,8 @@ def _examples(scenes: list[LidarScene]) -> dict[str, list[tuple[CompletionExampl
     rng, shown = np.random.default_rng(7), dict[str, int]()
     examples: dict[str, list[tuple[CompletionExample, Batch]]] = {}
     for scene in scenes:
-        densities = DENSITIES if scene.accumulated_m or not scene.real else DENSITIES[:4]
+        single = scene.real and not scene.accumulated_m
+        densities = [density for density in DENSITIES if density.sweeps == 1 or not single]
         turn = shown[scene.source] = shown.get(scene.source, -1) + 1
         density = densities[turn % len(densities)]
         example = drop_points(scene, rng, density)

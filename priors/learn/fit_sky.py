@@ -52,18 +52,11 @@ class SkyFit:
 def main(arguments: list[str] | None = None) -> None:
     """Fit, write, and print how each place fares when it is held out; takes the command line's arguments."""
     fit = tyro.cli(SkyFit, args=arguments, description=__doc__)
-    samples = [*read_camvid(fit.data / "camvid", "train"), *read_kitti(fit.data)]
-    samples += [sample for street in fit.streets for sample in read_street(street)]
+    samples = read_samples(fit)
     places = sorted({sample.place for sample in samples})
-    blocks = [sample_blocks(of_place(samples, place), fit.seed) for place in places]
-    firsts = [np.concatenate([first for first, *_ in group]) for group in blocks]
-    labels = [np.concatenate([label for *_, label in group]) for group in blocks]
+    firsts, labels = first_blocks(samples, places, fit.seed)
     print({place: len(label) for place, label in zip(places, labels, strict=True)})
-    seconds = []
-    for held, place in enumerate(places):
-        rule = fit_layers(*without(firsts, labels, held), fit.seed)
-        seconds.append(second_blocks(of_place(samples, place), rule, fit.seed))
-    values = [value for value, _ in seconds]
+    values = held_out_blocks(samples, places, (firsts, labels), fit.seed)
     for held, place in enumerate(places):
         rule = fit_layers(*without(values, labels, held), fit.seed)
         both, first = iou(sky.apply_layers(rule, values[held].T), labels[held]), iou(values[held][:, 0], labels[held])
@@ -77,6 +70,30 @@ def main(arguments: list[str] | None = None) -> None:
     }
     np.savez(fit.out, **arrays)  # type: ignore[arg-type]
     print(f"wrote {fit.out}")
+
+
+def read_samples(fit: SkyFit) -> list[SkySample]:
+    """Read what is fitted on."""
+    samples = [*read_camvid(fit.data / "camvid", "train"), *read_kitti(fit.data)]
+    return samples + [sample for street in fit.streets for sample in read_street(street)]
+
+
+def first_blocks(samples: Sequence[SkySample], places: Sequence[str], seed: int) -> tuple[list[Floats], list[Floats]]:
+    """Draw blocks of every place: what rule 1 sees of them, and their share of sky."""
+    blocks = [sample_blocks(of_place(samples, place), seed) for place in places]
+    firsts = [np.concatenate([first for first, *_ in group]) for group in blocks]
+    return firsts, [np.concatenate([label for *_, label in group]) for group in blocks]
+
+
+def held_out_blocks(
+    samples: Sequence[SkySample], places: Sequence[str], first: tuple[list[Floats], list[Floats]], seed: int
+) -> list[Floats]:
+    """Return what rule 2 sees of the same blocks, given rules 1 that had not seen the place."""
+    values = []
+    for held, place in enumerate(places):
+        rule = fit_layers(*without(*first, held), seed)
+        values.append(second_blocks(of_place(samples, place), rule, seed)[0])
+    return values
 
 
 def without(values: list[Floats], labels: list[Floats], held: int) -> tuple[list[Floats], list[Floats]]:

@@ -1,6 +1,7 @@
 """LiDAR dropout for training completion: which points of a scene are shown, and the truth that judges the network."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import cv2
 import numpy as np
@@ -39,6 +40,11 @@ class Density:
     """About so many random points of the sweep, not lines."""
     sweeps: int = 1
     """How many sweeps are accumulated."""
+
+    @classmethod
+    def accumulated(cls, sweeps: int) -> Self:
+        """Return the density of so many sweeps."""
+        return cls(sweeps=sweeps)
 
     def __str__(self) -> str:
         """Return what it is called in figures."""

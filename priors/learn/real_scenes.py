@@ -3,16 +3,17 @@
 | source    | truth                                                              | validated on               |
 |-----------|--------------------------------------------------------------------|----------------------------|
 | kitti2015 | the benchmark's disparity, cars as models of their kind, as depth  | what priors/held_back says |
-| a drive   | accumulated sweeps                                                 | its first frames           |
+| a drive   | accumulated sweeps                                                 | some of its first frames   |
 
-A drive with held-back frames trains on all others.
+A drive with held-back frames trains on all others, and is validated on some of those.
 """
 
 from pathlib import Path
 
+from priors.adapt.training_frames import pick_evenly
 from priors.drives.kitti_raw import KittiRaw
 from priors.errors import DataError
-from priors.held_back import training_frames
+from priors.held_back import held_back, training_frames
 from priors.learn.accumulated_lidar import own_scene, scenes_of
 from priors.learn.lidar_scene import LidarScene
 from priors.learn.real_truth import KITTI2015, RealTruth
@@ -20,6 +21,8 @@ from priors.types import Frame
 
 HELD_OUT = 4
 """First frames of a drive of which nothing is held back: for validation."""
+VALIDATED = 8
+"""Held-back frames of a drive that are validated on: one for each density."""
 SHARES = {KITTI2015: 3.0}
 """How often a source is drawn from, where not once: the others have a single place each."""
 
@@ -49,13 +52,14 @@ class RealScenes:
     def _read_drive(self, path: Path) -> None:
         drive = KittiRaw(path)
         name, frames = drive.name, training_frames(drive)
-        held_out = HELD_OUT if len(frames) == len(drive) else 0
-        if len(frames) <= held_out:
-            raise DataError(f"{path}: {len(frames)} frames to learn from: completion needs more than {held_out}")
+        if len(frames) <= HELD_OUT:
+            raise DataError(f"{path}: {len(frames)} frames to learn from: completion needs more than {HELD_OUT}")
         scenes = scenes_of(frames, name)
-        self.train[name] = scenes[held_out:]
-        if held_out:
-            self.validation[name] = scenes[:held_out]
+        if len(frames) == len(drive):
+            self.train[name], self.validation[name] = scenes[HELD_OUT:], scenes[:HELD_OUT]
+        else:
+            some = pick_evenly(held_back(drive), VALIDATED)
+            self.train[name], self.validation[name] = scenes, scenes_of([drive[at] for at in some], name)
 
 
 def _with_truth(frames: list[Frame]) -> list[LidarScene]:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from priors.codecs import as_rgb
+from priors.methods._completion_gate import DensityGate
 from priors.nets.trunk import MULTIPLE
 from priors.types import Depth, FloatMap, Image, Mask
 
@@ -47,10 +48,14 @@ def correct(
         torch.from_numpy(_pad(values[rows]))[None] for values in (fill.depth_m, fill.trust(), sparse_m)
     ]
     out = net(colour, *maps)
+    shares = DensityGate.of(net.about).shares(sparse_m, near)
     depth_m, confidence = np.zeros((2, *near.shape), np.float32)
     with torch.inference_mode():
         right = -torch.expm1(-WITHIN * torch.exp(-out.log_scale))
-        for value, target in ((out.depth_m.clamp_(*limits_m), depth_m), (right, confidence)):
+        mended = out.depth_m
+        if shares is not None:
+            mended = maps[0] * (mended.cpu() / maps[0]) ** torch.from_numpy(_pad(shares[rows]))[None]
+        for value, target in ((mended.clamp_(*limits_m), depth_m), (right, confidence)):
             np.multiply(value[0].cpu().numpy()[: near[rows].shape[0], : near.shape[1]], near[rows], out=target[rows])
     return Depth(depth_m, confidence, within_5_percent=confidence)
 

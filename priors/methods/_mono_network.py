@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import torch
 from torch import nn
 
@@ -13,8 +14,10 @@ from priors.adapt.finetune import AdaptConfig, fine_tune
 from priors.cache.learned import WatchedDrive, why_learned_stale
 from priors.cache.sources import Digests
 from priors.errors import DataError
+from priors.geometry import resize
 from priors.keys import key_of
 from priors.methods._mono_estimator import Prediction
+from priors.methods._mono_size import enlarge, shrink
 from priors.methods._mono_supervision import PlannedSupervision
 from priors.methods._network import Network
 from priors.nets import runtime, weights
@@ -34,12 +37,28 @@ VERSION = 1
 """Of how adapting works: part of the adapted weights' key."""
 
 
-def estimate(net: "Ready | Portable", image: Image, camera: Camera) -> Prediction:
-    """Run the network on an image: depth in metres, 0 in the sky, and the expected error of its logarithm."""
+def estimate(net: "Ready | Portable", image: Image, camera: Camera, share: float = 1.0) -> Prediction:
+    """Run the network on an image: depth in metres, 0 in the sky, and the expected error of its logarithm.
+
+    With a share below 1 it looks at an image whose sides are that share of the given one's; its answer has the image's
+    size all the same.
+    """
+    if share < 1:
+        return _enlarged(net, shrink(image, share), camera)
     out = net(runtime.as_input(image), torch.from_numpy(camera.K).float()[None])
     with torch.inference_mode():
         depth_m = torch.where(out.sky_logit > 0, 0.0, out.depth_m)
         return Prediction(runtime.as_map(depth_m), runtime.as_map(torch.exp(out.log_scale)))
+
+
+def _enlarged(net: "Ready | Portable", small: Image, camera: Camera) -> Prediction:
+    """Run it on a smaller image than the camera's; inverse depth is what changes evenly between pixels."""
+    K = resize(camera, (small.shape[0], small.shape[1])).K
+    out = net(runtime.as_input(small), torch.from_numpy(K).float()[None])
+    with torch.inference_mode():
+        maps = 1 / out.depth_m, out.sky_logit, out.log_scale
+        inverse, sky_logit, log_scale = (enlarge(runtime.as_map(map_), camera.size) for map_ in maps)
+    return Prediction(np.where(sky_logit > 0, np.float32(0), 1 / inverse), np.exp(log_scale))
 
 
 def adapted_weights(

@@ -3,15 +3,17 @@
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Literal, Self
+from typing import Any, ClassVar, Literal, Self
 
 from eval.calibration import Tolerance
 from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.machine import threads
 from priors.methods._mono_align import Aligner, Space
 from priors.methods._mono_estimator import Estimator, Predict, Prediction, by_drive, by_frame
+from priors.methods._mono_size import share_of
 from priors.methods._network import Network
 from priors.methods._reference import READS, ReferenceDepth
+from priors.resized import Resized
 from priors.selection import parse_hold_out, parse_range, select
 from priors.types import Depth, Drive, Frame, Input, Method
 
@@ -31,6 +33,9 @@ class Mono(Method):
     """Of our network: small is faster, large is better."""
     runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
     """What runs our network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
+    resize: Literal["auto", "none"] = "auto"
+    """auto: an image with more pixels than KITTI's is made as small for our network, as the drive's first frame says;
+    none: it is looked at as it is."""
     adapt: Literal["none", "lidar", "stereo", "video"] = "none"
     """Fine-tune our network on this drive first: on each training frame's own sweep, where its stereo is sure, or so
     that posed training frames explain each other."""
@@ -53,6 +58,7 @@ class Mono(Method):
 
     VERSION: ClassVar[int] = 1
     """To be raised too where what it learns from or is aligned to changes: the maps of lidar and stereo."""
+    BEFORE: ClassVar[Mapping[str, Any]] = {"resize": "none"}
 
     def __post_init__(self) -> None:
         expect_choices(self, "mono.")
@@ -95,7 +101,7 @@ class Mono(Method):
         """Return the fields that these settings leave without effect: of adapting, aligning, and our own network."""
         unread: dict[str, str] = {}
         if self._foreign is not None:
-            unread |= dict.fromkeys(("size", "runtime"), "our own network (weights that are no .onnx)")
+            unread |= dict.fromkeys(("size", "runtime", "resize"), "our own network (weights that are no .onnx)")
         if self.adapt == "none":
             unread["adapt_s"] = "--mono.adapt lidar, stereo or video"
         if self.align == "none":
@@ -113,9 +119,11 @@ class Mono(Method):
             raise DataError(f"{self.weights}: gives {self._output()}: add --mono.align scale-shift")
         resolved = replace(self, adapt_s=fresh.adapt_s if self.adapt == "none" else self.adapt_s)
         if self._foreign is not None:
-            resolved = replace(resolved, size=fresh.size, runtime=fresh.runtime)
+            resolved = replace(resolved, size=fresh.size, runtime=fresh.runtime, resize="none")
         else:
-            resolved = replace(resolved, runtime=self.network.decide_floating())
+            small = share_of(frame.camera.size) == 1  # then it decides nothing
+            resize = "none" if small else self.resize
+            resolved = replace(resolved, runtime=self.network.decide_floating(), resize=resize)
         if aligner is None:
             resolved = replace(resolved, align_to=fresh.align_to, align_in=fresh.align_in, align_per=fresh.align_per)
         else:
@@ -202,7 +210,11 @@ class Mono(Method):
         from priors.methods._mono_network import estimate
 
         net = network.open()
-        return lambda image, camera: estimate(net, image, camera)
+        return lambda image, camera: estimate(net, image, camera, self._share(camera.size))
+
+    def _share(self, size: tuple[int, int]) -> float:
+        """Return the share of an image's sides at which our network looks at it."""
+        return share_of(size) if self.resize == "auto" else 1.0
 
     def _adapt(
         self,
@@ -217,9 +229,13 @@ class Mono(Method):
         from priors.methods._mono_network import adapted_weights
         from priors.methods._mono_supervision import by_depth, by_video
 
+        share = self._share(drive[indices[0]].camera.size)
+        seen = drive if share == 1 else Resized(drive, share)
         if how == "video":
-            planned = by_video(drive, indices)
+            planned = by_video(seen, indices)
         else:
-            planned = by_depth(drive, indices, ReferenceDepth.choose(how, drive[indices[0]]))
+            planned = by_depth(seen, indices, ReferenceDepth.choose(how, seen[indices[0]]))
+        if share < 1:
+            planned = replace(planned, decides=planned.decides | {"share": round(share, 6)})
         config = AdaptConfig(seconds=self.adapt_s, lr=planned.lr)
         return replace(self.network, weights=adapted_weights(drive, planned, self.network, config, folder, on_note))

@@ -121,7 +121,7 @@ class Portable:
     runtime = "onnx"
 
     def __init__(self, ready: Ready, name: str) -> None:
-        self.ready, self.name = ready, name
+        self.ready, self.name, self.about = ready, name, ready.about
         self.sessions: OrderedDict[tuple[torch.Size, ...], Any] = OrderedDict()
         self.lock = threading.Lock()
 

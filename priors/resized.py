@@ -1,4 +1,4 @@
-"""A drive whose images are smaller: how cost grows with an image's size is measured on it."""
+"""A drive whose images are smaller: how cost grows with an image's size is measured on it, and large images learn."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -10,11 +10,11 @@ import numpy as np
 
 from priors.drive_around import DriveAround
 from priors.geometry import resize
-from priors.types import Drive, Frame
+from priors.types import Depth, Drive, FloatMap, Frame
 
 
 class Resized(DriveAround):
-    """A drive whose images are smaller; true and sparse maps and sky masks are left out."""
+    """A drive whose images are smaller; true maps and sky masks are left out."""
 
     def __init__(self, drive: Drive, share: float) -> None:
         super().__init__(drive)
@@ -34,4 +34,18 @@ def resized(frame: Frame, share: float) -> Frame:
 
     readers = {what: frame.readers[what] for what in ("sweep",) if what in frame.readers}
     readers |= {what: partial(shrunk, frame.readers[what]) for what in ("image", "other") if what in frame.readers}
+    if "sparse" in frame.readers:
+        readers["sparse"] = lambda: Depth(thinned(frame.sparse().depth_m, (height, width)))
     return replace(frame, camera=resize(frame.camera, (height, width)), readers=readers)
+
+
+def thinned(sparse_m: FloatMap, size: tuple[int, int]) -> FloatMap:
+    """Bring a sparse map to a smaller (height, width): of the values that fall on one pixel the nearest stays."""
+    row, column = np.nonzero(sparse_m > 0)
+    places = [
+        ((at + 0.5) * new / old).astype(np.intp)
+        for at, new, old in zip((row, column), size, sparse_m.shape, strict=True)
+    ]
+    small_m = np.full(size, np.inf, np.float32)
+    np.minimum.at(small_m, tuple(places), sparse_m[row, column])
+    return np.where(np.isfinite(small_m), small_m, np.float32(0))
