@@ -5,6 +5,7 @@ BIN := $(VENV)/bin
 MESH_VENV ?= $(VENV)-mesh
 PARSERS_VENV ?= $(VENV)-parsers
 SITE_VENV ?= $(VENV)-site
+CLUSTER_VENV ?= $(VENV)-cluster
 DEMO ?= demo
 DATA ?= ../shared/data/kitti_raw_397x120
 DEVICE ?= cuda
@@ -12,7 +13,7 @@ INSTALL := -m pip install --quiet --disable-pip-version-check --constraint const
 PIP := $(BIN)/python $(INSTALL)
 
 .DEFAULT_GOAL := help
-.PHONY: help fix cov demo test modes slow browser site splats datasets stress networks parsers mesh lint types bench gpu gpu-pack clean
+.PHONY: help fix cov demo test modes slow browser site splats datasets stress networks parsers mesh cluster lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -85,6 +86,14 @@ mesh: $(MESH_VENV)/.installed  ## meshes and clouds by open3d, in an environment
 	.ci/open3d-libraries
 	ROADPRIOR_OPEN3D=required $(MESH_VENV)/bin/python -m pytest -q -p no:dash tests/test_open3d.py
 
+$(CLUSTER_VENV)/.installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(CLUSTER_VENV)
+	$(CLUSTER_VENV)/bin/python $(INSTALL) --editable .[cluster] pytest hypothesis "moto[s3]" flask flask-cors
+	touch $@
+
+cluster: $(CLUSTER_VENV)/.installed  ## Ray, object stores, data-parallel fits, in an environment of its own: it brings 0.6 GB
+	ROADPRIOR_CLUSTER=required $(CLUSTER_VENV)/bin/python -m pytest -q -p no:dash -m "cluster and not slow"
+
 fix: $(VENV)/.dev  ## what ruff can mend: order of imports, format
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
@@ -121,4 +130,4 @@ gpu: gpu-pack  ## what a borrowed GPU is asked: docs/gpu.md; DEVICE=cpu BUDGET=1
 	$(BIN)/python tests/bench/gpu --device $(DEVICE) $(if $(BUDGET),--budget $(BUDGET)) $(if $(PARTS),--parts $(PARTS))
 
 clean:  ## remove the environments and the demo
-	rm -rf $(VENV) $(MESH_VENV) $(PARSERS_VENV) $(SITE_VENV) build $(DEMO)
+	rm -rf $(VENV) $(MESH_VENV) $(PARSERS_VENV) $(SITE_VENV) $(CLUSTER_VENV) build $(DEMO)

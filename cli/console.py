@@ -28,6 +28,8 @@ from priors.errors import DataError, UsageError
 DATA_ERROR, USAGE_ERROR, INTERRUPTED = 1, 2, 130
 SILENT_S = 2.0
 """Work that takes longer says what it does."""
+TOLD_S = 10.0
+"""From one line to the next in a pipe, of work whose length is not known."""
 SHOWN_S = 0.5
 """On a terminal it says so from here on: words that flash up are not read."""
 
@@ -113,6 +115,36 @@ def progress(label: str, total: int) -> Iterator[Callable[..., None]]:
             err.print(f"{label} {done}/{total}")
 
     yield step
+
+
+@contextmanager
+def growing_progress(label: str) -> Iterator[Callable[[int, int], None]]:
+    """Show a progress bar whose length becomes known as it goes; in a pipe a line at times, of what takes long.
+
+    Yields what to call with the steps that were done, and those that came to be known.
+    """
+    done = total = 0
+    if err.moves:
+        with _bar(LABEL, BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TimeRemainingColumn()) as bar:
+            task = bar.add_task(label, total=None)
+
+            def move(steps: int, more: int) -> None:
+                nonlocal total
+                total += more
+                bar.update(task, advance=steps, total=total or None)
+
+            yield move
+        return
+    told = time.perf_counter()
+
+    def tell(steps: int, more: int) -> None:
+        nonlocal done, total, told
+        done, total = done + steps, total + more
+        if steps and time.perf_counter() - told > TOLD_S:
+            told = time.perf_counter()
+            err.print(f"{label}: {done}/{total} frames")
+
+    yield tell
 
 
 @contextmanager

@@ -18,6 +18,7 @@ import torch
 from torch import Tensor
 
 from nerf.types import OPAQUE, Rays, Rendered
+from nerf.world import here
 
 SHIFT = 0.05
 """Unit of b, 1/m: at 20 m, b and s move the depth alike."""
@@ -69,10 +70,10 @@ class Alignment:
         off = torch.where(tells, torch.log(rendered.median_m / aligned_m), 0.0)
         slope = weight * off / (1 + (off / REACH) ** 2) ** 2
         by_scale = torch.where(tells, aligned_m * self._scaled(frame, rays.depth_m), 0.0)  # d log(aligned) / ds
-        total = self._summed(frame, weight).clamp(min=1e-6)
+        total, size = here().total(self._summed(frame, weight)).clamp(min=1e-6), here().size
         away = self.log_scale - self.log_scale[self._train].median()
-        self.log_scale.grad = self._summed(frame, -slope * by_scale) / total + PULL * away
-        self.shift.grad = self._summed(frame, slope * SHIFT * aligned_m) / total + PULL * self.shift
+        self.log_scale.grad = self._summed(frame, -slope * by_scale) / total + PULL / size * away
+        self.shift.grad = self._summed(frame, slope * SHIFT * aligned_m) / total + PULL / size * self.shift
 
     def _scaled(self, frame: Tensor, depth_m: Tensor) -> Tensor:
         """Return the inverse of the depth (r,) times its frame's scale, 1/m."""

@@ -58,7 +58,8 @@ class RunConfig:
         """What the run is, as its usual folder's name ends: `<field>-<views>`, then `<loss>-<prior>`."""
         loss = [self.fit.losses.loss] if fields.is_trained(self.fit.model.family) else []
         guide = [] if self.prior is None else [*loss, Path(self.prior).name]
-        return "-".join([self.fit.model.family, in_name(self.views), *guide])
+        blocks = [] if self.fit.blocks_m is None else [f"blocks{self.fit.blocks_m:g}m"]
+        return "-".join([self.fit.model.family, in_name(self.views), *blocks, *guide])
 
     @property
     def scene(self) -> SceneConfig:

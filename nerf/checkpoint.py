@@ -12,7 +12,9 @@ from safetensors import torch as tensors
 from torch import Tensor
 
 from eval.files import write_bytes
-from nerf import fields
+from nerf import blocks, fields
+from nerf.blended import BlendedModel
+from nerf.blocks import parts_of
 from nerf.config import FitConfig, ModelConfig
 from nerf.model import GoesOn, Model
 from nerf.scene import Scene
@@ -82,15 +84,27 @@ def resume(run: Path, model: Model) -> Spent:
 
 
 def spent(run: Path) -> Spent:
-    """Return how much a run's checkpoint has spent; nothing where there is none."""
-    return restore(Spent, json.loads(_metadata(run)["progress"])) if (run / NAME).exists() else Spent()
+    """Return how much a run's checkpoints have spent, those of its blocks together; nothing where there is none."""
+    each = [restore(Spent, json.loads(_metadata(part)["progress"])) for part in _begun(run)]
+    return Spent(sum(one.step for one in each), sum(one.elapsed_s for one in each))
+
+
+def has_begun(run: Path) -> bool:
+    """Tell whether a run has a checkpoint, or one of its blocks has."""
+    return bool(_begun(run))
+
+
+def _begun(run: Path) -> list[Path]:
+    """List the folders of a run's checkpoints."""
+    return [part for part in parts_of(run) if (part / NAME).exists()]
 
 
 def origin_of(run: Path) -> Offset | None:
     """Return the origin of the scene that a run's checkpoint was trained on; None where there is no checkpoint."""
-    if not (run / NAME).exists():
+    begun = _begun(run)
+    if not begun:
         return None
-    x, y, z = json.loads(_metadata(run).get("origin_m", "[0, 0, 0]"))
+    x, y, z = json.loads(_metadata(begun[0]).get("origin_m", "[0, 0, 0]"))
     return float(x), float(y), float(z)
 
 
@@ -100,6 +114,9 @@ def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
     Raises:
         DataError: there is no checkpoint, or it is damaged, of another format, or of a family that is not here.
     """
+    if (run / blocks.NAME).exists():
+        parts = parts_of(run)
+        return BlendedModel(blocks.load(run), lambda number: open_model(parts[number], device))
     state, metadata = _read(run)
     try:
         config = restore(ModelConfig, json.loads(metadata["config"]))
@@ -110,7 +127,9 @@ def open_model(run: Path, device: torch.device | str = "cpu") -> Model:
 
 def digest(run: Path) -> str:
     """Return a hash of the run's checkpoint: tells one field from another."""
-    return hashlib.sha256(_path(run).read_bytes()).hexdigest()[:16]
+    parts = parts_of(run)
+    hashes = [hashlib.sha256(_path(part).read_bytes()).hexdigest() for part in parts]
+    return (hashes[0] if parts == [run] else hashlib.sha256("".join(hashes).encode()).hexdigest())[:16]
 
 
 def _record(metadata: dict[str, str]) -> dict[str, Any]:

@@ -56,6 +56,8 @@ class FitConfig:
     align: Align = "auto"
     """auto: check the prior against the posed images, bring it to their scale, and leave out what they contradict;
     learn: the same, and a scale and a shift a frame are learned with the field; none: take it as it is."""
+    blocks_m: float | None = None
+    """Cut the path into blocks of about this length, metres, a field each, with this budget each; None: one field."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {"align": "none"}
 
@@ -66,6 +68,7 @@ class FitConfig:
         timed = self.seconds is not None and 0 < self.seconds < math.inf
         expect(timed or (self.seconds is None and self.steps is not None), "--time", self.seconds, "more than 0")
         expect_between(0, self.seed, LARGEST_SEED, "--seed")
+        expect(self.blocks_m is None or 1 <= self.blocks_m < math.inf, "--blocks", self.blocks_m, "metres, 1 or more")
 
     def progress(self, step: int, elapsed_s: float) -> float:
         """Return the spent share of the budget, [0, 1]: of the steps where they are given, else of the time."""

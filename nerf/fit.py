@@ -2,21 +2,25 @@
 
 import json
 import math
+import os
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TextIO
 
 from torch import Tensor
 
-from nerf import journal
-from nerf.checkpoint import Spent, begin, resume, save
+from nerf import fields, journal
+from nerf.blocks import Blocks, part
+from nerf.checkpoint import Spent, begin, open_model, resume, save
 from nerf.config import FitConfig
 from nerf.finite import NotFiniteError, bad_terms, cause
 from nerf.keeper import Keeper, LostError
 from nerf.model import Model, StepResult
 from nerf.scene import Scene
+from nerf.world import here
+from priors.errors import expect
 from priors.machine import threads
 
 LOG_EVERY = 20
@@ -83,19 +87,49 @@ def fit(
         device: cpu, or a GPU as torch names it.
         lost: tells whether another process has taken the folder over.
 
+    Where several processes fit together (nerf/world.py), the first one writes, and its clock counts.
+
     Raises:
         DataError: there is no such family, or the run's checkpoint is damaged or was made with other settings; the
             loss is not finite any more; or the run is another process's now.
     """
+    _expect_shared(config)
+    if config.blocks_m is not None:
+        return _fit_blocks(scene, config, run, on_step, (device, lost))
+    return _fit_one(scene, config, run, on_step, (device, lost))
+
+
+def _fit_blocks(
+    scene: Scene, config: FitConfig, run: Path, on_step: OnStep, how: tuple[str, Callable[[], bool]]
+) -> Model:
+    """Fit a field for each block of the path, one after the other; each has the whole budget."""
+    family = config.model.family
+    expect(fields.shares(family), "--blocks", f"{config.blocks_m:g}", f"a hash family, --field {family} has no blocks")
+    cut = Blocks.cut(scene, config.blocks_m or 0.0)
+    if here().leads:
+        cut.save(run)
+    for number in range(len(cut)):
+
+        def tell(status: Status, number: int = number) -> None:
+            on_step(replace(status, progress=(number + status.progress) / len(cut)))
+
+        _fit_one(cut.scene(scene, number), config, part(run, number), tell, how)
+    here().wait()
+    return open_model(run, how[0])
+
+
+def _fit_one(scene: Scene, config: FitConfig, run: Path, on_step: OnStep, how: tuple[str, Callable[[], bool]]) -> Model:
+    """Train one field, or go on; `how`: the device, and what tells whether the folder is another's now."""
+    device, lost = how
     model = begin(run, scene, config, device)
     if not model.parameters():
         save(run, model, Spent(), scene.origin_m)
         return model
     done = resume(run, model)
     run.mkdir(parents=True, exist_ok=True)
-    journal.cut(run, done.step)
+    here().wait()  # each has read the checkpoint before the first writes the next
     keeper = Keeper(run, model, scene.origin_m, done, lost)
-    with (run / journal.NAME).open("a", buffering=1, encoding="utf-8") as log:
+    with _journal(run, done.step) as log:
         try:
             _train(scene, config, keeper, log, on_step)
         except NotFiniteError as error:
@@ -103,11 +137,28 @@ def fit(
     return model
 
 
+def _expect_shared(config: FitConfig) -> None:
+    """Raise UsageError where several processes are to fit what only one can."""
+    if here().size == 1:
+        return
+    family, least = config.model.family, config.model.sampler.roulette_rays
+    expect(fields.shares(family), "--field", family, "one that several processes can fit together, or start one")
+    expect(least == 1, "--roulette-rays", least, "1 where several processes fit together")
+
+
+def _journal(run: Path, step: int) -> TextIO:
+    """Open the journal where the first process writes it on; the others write nowhere."""
+    if not here().leads:
+        return Path(os.devnull).open("w", encoding="utf-8")
+    journal.cut(run, step)
+    return (run / journal.NAME).open("a", buffering=1, encoding="utf-8")
+
+
 def _train(scene: Scene, config: FitConfig, keeper: Keeper, log: TextIO, on_step: OnStep) -> None:
     """Take the steps that are left; where one fails or is interrupted, those before it are kept."""
     spent, clock = keeper.kept, time.perf_counter() - keeper.kept.elapsed_s
     try:
-        while (progress := config.progress(spent.step, spent.elapsed_s)) < 1:
+        while (progress := here().leaders(config.progress(spent.step, spent.elapsed_s))) < 1:
             result = keeper.model.train(scene, config, spent.step, progress)
             before, spent = spent, Spent(spent.step + 1, time.perf_counter() - clock)
             _look(result, spent.step)

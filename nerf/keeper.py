@@ -9,6 +9,7 @@ from pathlib import Path
 from nerf.checkpoint import Spent, save
 from nerf.finite import NotFiniteError, bad_tensor
 from nerf.model import Model
+from nerf.world import here
 from priors.errors import DataError
 from priors.origin import Offset
 
@@ -52,6 +53,9 @@ class Keeper:
             LostError: the folder is another process's now; its files are left alone.
         """
         if spent.step == self.kept.step:
+            return
+        if not here().leads:
+            self.kept = spent
             return
         if self.lost():
             raise LostError(f"{self.run}: another process took this run over while this one stood still: it goes on")

@@ -25,6 +25,7 @@ from torch import Tensor
 
 from nerf.kernels import RenderKernels, kernels_for
 from nerf.types import Gradients, Rays, Rendered, Samples, Target
+from nerf.world import here
 from priors.errors import expect, expect_choices
 
 DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
@@ -128,6 +129,7 @@ def losses(
     terms["distortion"] = _distortion(config, samples, rays, rendered, (gradients, kernels))
     scales = {"rgb": 1.0, "depth": config.depth_weight, "opacity": config.opacity, "distortion": config.distortion}
     scales["sky"] = config.sky_opacity
+    terms = {name: here().total(value) for name, value in terms.items()}
     total = torch.stack([scales[name] * value for name, value in terms.items()]).sum()
     return Losses(terms, total, gradients, samples.used, each, rendered)
 
@@ -148,8 +150,8 @@ def _colour(rays: Rays, rendered: Rendered, gradients: Gradients, each: Tensor) 
     squared = off * off
     each += squared.mean(1)
     if rays.share is None:
-        gradients.rgb.copy_(2 / off.numel() * off)
-        return squared.mean()
+        gradients.rgb.copy_(2 / (off.numel() * here().size) * off)
+        return squared.mean() / here().size
     gradients.rgb.copy_(2 / 3 * rays.share[:, None] * off)
     return (rays.share * each).sum()
 
@@ -170,7 +172,7 @@ def _depth(term: "_DepthTerm", weight: Tensor, drawn: Tensor | None, gradients: 
     if term.config.trim > 0:
         values = term(torch.zeros_like(weight), Gradients.zeros(term.rendered))
         weight = trimmed(weight, values, term.config.trim)
-    total = counted.sum() if term.config.depth_mean == "all" else weight.sum()
+    total = here().total(counted.sum() if term.config.depth_mean == "all" else weight.sum())
     share = weight / total.clamp(min=1e-12)
     values = term(term.config.depth_weight * share, gradients)
     each += term.config.depth_weight * values
@@ -178,14 +180,14 @@ def _depth(term: "_DepthTerm", weight: Tensor, drawn: Tensor | None, gradients: 
 
 
 def trimmed(weight: Tensor, loss: Tensor, share: float) -> Tensor:
-    """Give weight 0 to the `share` of the rays with a weight whose loss is largest."""
-    has = weight > 0
-    drop = int(share * int(has.sum()))
+    """Give weight 0 to the `share` of the rays with a weight whose loss is largest; of all processes' rays."""
+    has, world = weight > 0, here()
+    drop = int(share * int(world.total(has.sum())))
     if drop == 0:
         return weight
-    out = weight.clone()
-    out[torch.where(has, loss, -1.0).topk(drop).indices] = 0
-    return out
+    out = world.joined(weight).clone()
+    out[world.joined(torch.where(has, loss, -1.0)).topk(drop).indices] = 0
+    return out[world.part(len(weight))]
 
 
 @dataclass(frozen=True, slots=True)
@@ -227,8 +229,8 @@ def _stopping(samples: Samples, weight: Tensor | None) -> Tensor:
 def _share(rays: Rays, weight: Tensor) -> Tensor:
     """Return the shares (r,) of weighted rays in a mean over those that count."""
     if rays.share is None:
-        return weight / (weight > 0).sum().clamp(min=1)
-    return weight * rays.share / rays.share[weight > 0].sum().clamp(min=1e-12)
+        return weight / here().total((weight > 0).sum()).clamp(min=1)
+    return weight * rays.share / here().total(rays.share[weight > 0].sum()).clamp(min=1e-12)
 
 
 def _opacity(config: LossConfig, share: Tensor, rendered: Rendered, gradients: Gradients) -> Tensor:
@@ -255,13 +257,15 @@ def _distortion(
     gradients, kernels = given
     share = mean_share(rays.share, samples)
     values = kernels.distortion(samples, rendered.weights, config.distortion * share, gradients.weights)
-    return (share * values).sum() if rays.share is not None else values.sum() / max(1, len(share))
+    whole = max(1, len(share)) * here().size
+    return (share * values).sum() if rays.share is not None else values.sum() / whole
 
 
 def mean_share(share: Tensor | None, samples: Samples) -> Tensor:
-    """Return the share (r,) that each ray of a batch has in its mean."""
+    """Return the share (r,) that each ray of a batch, of all processes, has in its mean."""
     rays = len(samples.offsets) - 1
-    return torch.full((rays,), 1 / max(1, rays), device=samples.t.device) if share is None else share
+    whole = max(1, rays) * here().size
+    return torch.full((rays,), 1 / whole, device=samples.t.device) if share is None else share
 
 
 def interlevel(
@@ -275,4 +279,4 @@ def interlevel(
     scale = mean_share(share, samples)
     kernels = kernels_for(rendered.rgb.device).render
     values, gradient = kernels.interlevel(samples, rendered.weights, coarse, coarse_rendered.weights, scale)
-    return (scale * values).sum(), gradient
+    return here().total((scale * values).sum()), gradient

@@ -30,6 +30,7 @@ from nerf.space import Space
 from nerf.state import copy_into
 from nerf.twin.sample import cells
 from nerf.types import Key, Samples
+from nerf.world import here
 from priors.geometry import rays as pixel_rays
 
 Density = Callable[[Tensor, Tensor], Tensor]
@@ -109,8 +110,9 @@ class Occupancy:
         return self.kept.reshape(-1)[cells(u, table, self.resolution)] > 0
 
     def observe(self, samples: Samples, sigma: Tensor) -> None:
-        """Note the density (m,), 1/m, that a training step found at its samples."""
-        self._note(samples.u[: samples.used], samples.table[: samples.used], sigma[: samples.used])
+        """Note the density (m,), 1/m, that a training step found at its samples, and those of the other processes."""
+        found = (samples.u[: samples.used], samples.table[: samples.used], sigma[: samples.used])
+        self._note(*map(here().joined, found))
 
     def update(self, density: Density, key: Key, probes: int = 16_384) -> None:
         """Look at `probes` cells, half of them kept ones, and after WARM_UP steps prune what is thin.

@@ -8,6 +8,7 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 """
 
 import re
+import shutil
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from eval.lpips import Lpips
-from nerf import cameras, checkpoint, fields, journal
+from nerf import blocks, cameras, checkpoint, fields, journal
 from nerf.asked import CONFIG, RunConfig, comparable, read, write
 from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
@@ -241,7 +242,7 @@ def claim(folder: Path, config: RunConfig, *, same_budget: bool = False) -> Run:
     """
     path = folder / CONFIG
     _refuse_taken(folder)
-    before = open_run(folder).config if (folder / checkpoint.NAME).exists() else config
+    before = open_run(folder).config if checkpoint.has_begun(folder) else config
     config = earlier(config, before)  # what an earlier version began goes on as it was
     if before.sparse_step is None:
         config = replace(config, sparse_step=None)  # it had every 4th frame
@@ -257,6 +258,8 @@ def forget(folder: Path) -> None:
     """Delete what a run has learned: it begins anew."""
     for name in (checkpoint.NAME, journal.NAME, "metrics.json"):
         (folder / name).unlink(missing_ok=True)
+    (folder / blocks.NAME).unlink(missing_ok=True)
+    shutil.rmtree(folder / blocks.FOLDER, ignore_errors=True)
 
 
 def names_of(runs: Sequence[Run]) -> list[str]:

@@ -21,6 +21,7 @@ from nerf.occupancy import Occupancy
 from nerf.space import Space
 from nerf.twin import space as twin
 from nerf.types import Course, Histogram, Key, Rays, Samples
+from nerf.world import here
 from priors.errors import expect, expect_between
 
 _SHIFTS, _UNGUIDED = 1, 2
@@ -206,8 +207,10 @@ def guidable(depth_m: Tensor, unguided: float, key: Key | None) -> Tensor:
 
 
 def _random(count: int, key: Key | None, stream: int, like: Tensor) -> Tensor:
-    """Return (count,) random numbers in [0, 1) of a key's stream; 1 without a key."""
+    """Return this process's (count,) random numbers in [0, 1) of a key's stream; 1 without a key."""
     if key is None:
         return torch.ones(count, dtype=like.dtype, device=like.device)
     generator = np.random.Generator(np.random.Philox(key=list(key), counter=[0, 0, 0, stream]))
-    return torch.from_numpy(generator.random(count, dtype=np.float32)).to(like)
+    world = here()
+    drawn = generator.random(count * world.size, dtype=np.float32)[world.part(count)]
+    return torch.from_numpy(drawn).to(like)

@@ -50,6 +50,13 @@ class Scene:
     """Where the scene's frame begins in the drive's, metres."""
     sky: Stack | npt.NDArray[np.uint8] | None = None
     """(frames, height, width) 1 where the image shows sky and the prior is not sure of a surface."""
+    around: tuple[int, int] | None = None
+    """First frame, and the one after the last, of those that a field's space is laid around; None: all."""
+
+    @property
+    def path(self) -> npt.NDArray[np.float64]:
+        """The poses that a field's space is laid around, (n, 4, 4)."""
+        return self.T_world_cam if self.around is None else self.T_world_cam[slice(*self.around)]
 
     def draw(self, count: int, seed: int, step: int) -> Rays:
         """Draw `count` training rays; the same seed and step draw the same ones."""

@@ -219,7 +219,7 @@ class Grid(Protocol):
 
 def left_of(study: Grid, folder: Path, settings: Mapping[str, Any]) -> list[RunSpec]:
     """List the runs that are not done."""
-    return [spec for spec in study.runs() if _done(folder / spec.name, _config(spec, settings)) is None]
+    return [spec for spec in study.runs() if made_before(folder / spec.name, config_of(spec, settings)) is None]
 
 
 def run_study(
@@ -240,15 +240,15 @@ def run_study(
     """
     outcomes = []
     for spec in study.runs():
-        config = _config(spec, settings)
-        done = _done(folder / spec.name, config)
-        outcome = Outcome(spec, done, fresh=False) if done else _outcome(spec, folder / spec.name, config, run)
+        config = config_of(spec, settings)
+        done = made_before(folder / spec.name, config)
+        outcome = Outcome(spec, done, fresh=False) if done else outcome_of(spec, folder / spec.name, config, run)
         outcomes.append(outcome)
         on_run(outcome)
     return outcomes
 
 
-def _config(spec: RunSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
+def config_of(spec: RunSpec, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Return everything that decides a run's figures, as JSON holds it."""
     record = asdict(spec) | {"prior": spec.prior_name}  # a cache may move: the name holds the prior's key
     made: dict[str, Any] = json.loads(json.dumps({"spec": record, **settings}, allow_nan=False))
@@ -262,7 +262,7 @@ def _reduced(spec: RunSpec) -> RunSpec | None:
     return RunSpec(spec.field, spec.views, NONE, seed=spec.seed) if spec.prior == NONE else spec
 
 
-def _done(folder: Path, config: dict[str, Any]) -> Report | None:
+def made_before(folder: Path, config: dict[str, Any]) -> Report | None:
     """Return the report of a run that was made with this config; None where there is none."""
     try:
         report = Report.load(folder / "metrics.json")
@@ -274,7 +274,7 @@ def _done(folder: Path, config: dict[str, Any]) -> Report | None:
     return report if told == config else None
 
 
-def _outcome(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:
+def outcome_of(spec: RunSpec, folder: Path, config: dict[str, Any], run: Runner) -> Outcome:
     """Make a run; what a user can mend is told, anything else is raised."""
     try:
         report = run(spec, folder, config)

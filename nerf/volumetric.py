@@ -26,12 +26,13 @@ from nerf.optimise import Optimiser
 from nerf.proposals import Proposals, Round
 from nerf.roulette import Wheel
 from nerf.sample import Sampler
-from nerf.scene import Scene, view_rays
+from nerf.scene import Pixels, Scene, view_rays
 from nerf.sky import Sky, SkyConfig
 from nerf.space import Kind, Space
 from nerf.state import copy_into, joined, under
 from nerf.types import GridConfig, Key, Rays, Rendered, RenderedView, Samples
 from nerf.walk import in_front, walk
+from nerf.world import add_up, here
 from priors.machine import threads
 from priors.records import restore
 from priors.types import Camera, Matrix
@@ -65,10 +66,12 @@ class VolumetricFamily:
     unread: ClassVar[tuple[str, ...]] = ("model.gaussians",)
     aligns: ClassVar[bool] = True
     """A prior's scales and shifts can be learned with the field."""
+    shares: ClassVar[bool] = True
+    """Several processes can fit one model together."""
 
     def start(self, scene: Scene, config: FitConfig, device: str) -> "VolumetricModel":
         """Make an untrained model around a scene, carved where the scene has a prior."""
-        space, sampler = Space.along(scene.T_world_cam, self.space), config.model.sampler
+        space, sampler = Space.along(scene.path, self.space), config.model.sampler
         if sampler.carve and scene.depth_m is not None:
             scene = scene if sampler.carve_sky else replace(scene, sky=None)
             occupancy = Occupancy.carve(space, scene, trust=sampler.trust, device=device)
@@ -130,7 +133,9 @@ class VolumetricModel:
     def train(self, scene: Scene, config: FitConfig, step: int, progress: float) -> StepResult:
         """Do a step of training; see nerf.model.Model."""
         key = config.seed, step
-        pixels, share = scene.pixels(config.rays, *key), None
+        world = here()
+        drawn = scene.pixels(config.rays * world.size, *key)
+        pixels, share = Pixels(*(each[world.part(config.rays)] for each in drawn)), None
         if self.converged is not None:
             pixels, share = self.converged.spin(pixels, self.config.sampler.roulette_rays, key)
         rays = replace(scene.rays(*pixels), share=share).to(self.device)
@@ -144,10 +149,11 @@ class VolumetricModel:
             self.alignment.learn(frame, rays, prior_weight(rules, rays), batch.rendered)
         if self.converged is not None:
             self.converged.learn(pixels, batch.each.cpu())
+        add_up(self.parameters())
         self._optimiser.step(config.optimiser, progress)
         if step % OCCUPANCY_EVERY == 0:
             self.occupancy.update(self.field.density, key)
-        return StepResult(batch.terms, batch.total, len(rays), batch.samples)
+        return StepResult(batch.terms, batch.total, len(rays) * world.size, sum(world.counts(batch.samples)))
 
     def backward(self, rays: Rays, config: LossConfig, key: Key, progress: float) -> Losses:
         """Go forward and back with a batch; gradients are left in the parameters' `.grad`."""
@@ -173,11 +179,11 @@ class VolumetricModel:
             self.field.backward(d_sigma, d_rgb)
             return
         weight = (d_sigma * sigma).abs() + d_rgb.abs().sum(1)
-        chance = roulette.chances(weight, config.roulette_samples)
+        chance = roulette.chances(weight, config.roulette_samples, samples.used)
         if config.terminate:
             chance = torch.where(in_front(samples, sigma) < -math.log(config.terminate), chance, 0.0)
         chance[samples.used :] = 0
-        kept = roulette.spin(chance, key, roulette.SAMPLES)
+        kept = roulette.spin(chance, key, roulette.SAMPLES, samples.used)
         share = 1 / chance.clamp(min=1e-6)
         self.field.backward(d_sigma * share, d_rgb * share[:, None], kept)
 

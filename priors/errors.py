@@ -63,3 +63,8 @@ def expect_choices(config: object, prefix: str) -> None:
         if choices and value not in choices:
             flag = f"--{prefix}{field.name.replace('_', '-')}"
             raise UsageError(f"{flag} {value}: expected one of {', '.join(map(str, choices))}")
+
+
+def told(error: Exception) -> str:
+    """Say in one line what is wrong: the system's errors with their file."""
+    return f"{error.filename}: {error.strerror}" if isinstance(error, OSError) and error.filename else str(error)

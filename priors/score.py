@@ -10,6 +10,7 @@ From Python:
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from eval.curves import Curves, Metric, ScoredPixels, best, curves, join
 from eval.protocol import Protocol, preset
@@ -17,6 +18,7 @@ from eval.result import FLICKER, Comparison, Result
 from eval.result import score as score_frames
 from priors import drives
 from priors.cache import Prior
+from priors.cache.store import publish
 from priors.errors import DataError
 from priors.flicker import flicker_of
 from priors.machine import threads
@@ -25,6 +27,11 @@ from priors.selection import select
 from priors.types import Drive, Frame
 
 PAPER = preset("paper")
+
+
+OnFrame = Callable[[str], None]
+Scorer = Callable[["Pairs", Protocol, dict[str, Any], OnFrame], Result]
+"""Scores all pairs by a protocol; the result has the info that is given, and each frame's id is told."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +46,8 @@ class Pairs:
     """Another prior in place of the drive's truth."""
     left_out: dict[str, str] = field(default_factory=dict)
     """Frame id -> why it cannot be scored; known once the pairs were read."""
+    scorer: Scorer | None = None
+    """Scores elsewhere (priors/scale/scoring.py); it keeps no pixels. None: here."""
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -132,7 +141,7 @@ def score_pairs(
     protocol: Protocol = PAPER,
     name: str | None = None,
     keep_pixels: bool = False,
-    on_frame: Callable[[str], None] = lambda frame_id: None,
+    on_frame: OnFrame = lambda frame_id: None,
     temporal: bool = False,
 ) -> Score:
     """Score the maps of a prior and keep the result as metrics.json beside them.
@@ -154,15 +163,18 @@ def score_pairs(
     parts: list[ScoredPixels] = []
     kept = keep_pixels and (prior.folder / "confidence").is_dir()
     with threads.limited(threads.count()):
-        result = score_frames(
-            _telling(pairs, on_frame), protocol, pairs.fx_baseline, info, parts.append if kept else None
-        )
+        if pairs.scorer is not None and not kept:
+            result = pairs.scorer(pairs, protocol, info, on_frame)
+        else:
+            told = _telling(pairs, on_frame)
+            result = score_frames(told, protocol, pairs.fx_baseline, info, parts.append if kept else None)
         if temporal:
             value = flicker_of(prior, pairs.drive, pairs.ids, pairs.against)
             result = replace(result, info={**result.info, FLICKER: value})
     unsaved = None
     try:
         result.save(prior.folder / "metrics.json")
+        publish(prior.folder / "metrics.json")
     except OSError as error:  # a cache of somebody else, or a full disk: the figures are told all the same
         unsaved = f"{prior.folder / 'metrics.json'}: cannot be written ({error.strerror})"
     return Score(result, join(parts) if kept else None, pairs.fx_baseline, unsaved)

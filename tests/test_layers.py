@@ -55,6 +55,7 @@ ROOMS = [
     "priors/export",
     "priors/bench",
     "priors/plan",
+    "priors/scale",
     "priors/street",
     "priors/learn",
     "priors/stress",

@@ -11,6 +11,7 @@ from cli.console import busy, err, fit_progress, out, progress
 from cli.durations import seconds
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
+from cli.nerf.together import together
 from nerf import checkpoint, fields
 from nerf.asked import RunConfig
 from nerf.checkpoint import Spent
@@ -24,6 +25,7 @@ from nerf.run import RUNS, Run, begin
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.split import SPARSE_STEP
+from nerf.world import here, leader_first
 from priors import origin
 from priors.errors import UsageError
 from priors.filters import Filters
@@ -38,6 +40,8 @@ examples:
   nerf fit street/ --views sparse                                   colours alone
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --field nerfpp --steps 3000 --run runs/npp
+  nerf fit kitti/ --drive 2011_09_26_drive_0009_sync --blocks 60                     a field every 60 m
+  torchrun --nproc-per-node 4 -m cli.nerf -- fit street/ --prior cache/ --rays 256   four processes, one field
 """
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
@@ -73,6 +77,9 @@ class FitArguments(ThreadArguments, SequenceArguments):
     learn: the same, and a scale and a shift a frame are learned with the field; none: take it as it is."""
     width: int = 64
     """Neurons of the hidden layers."""
+    blocks: float | None = None
+    """Cut a long drive into blocks of about so many metres of its path: a field each, with the whole budget each, which
+    views blend."""
     device: Device = "auto"
     """Where to train and render; auto: a GPU where there is one."""
     run: Path | None = None
@@ -104,7 +111,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
         timed = None if self.steps is not None else asked
         model = ModelConfig(self.family, width=self.width, sampler=self.sampler, gaussians=self.gaussians)
         made = FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
-        return replace(made, align=self.align)
+        return replace(made, align=self.align, blocks_m=self.blocks)
 
 
 ARGUMENTS = {"nerf fit": FitArguments}
@@ -113,7 +120,7 @@ ARGUMENTS = {"nerf fit": FitArguments}
 def run(arguments: list[str]) -> int:
     """Fit; returns the exit code."""
     args = parse(FitArguments, "nerf fit", EXAMPLES, arguments)
-    with args.limited():
+    with args.limited(), together():
         return _fit(args, ["nerf", "fit", *arguments])
 
 
@@ -127,7 +134,9 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
     scene, config, folder = args.scene(), args.config(), args.run
     if folder is None and args.sequence is not None:  # sequences of one drive are told apart
         folder = RUNS / f"{args.sequence}-{RunConfig.of(drive, prior, scene, config).title}"
-    this_run = begin(drive, prior, scene, config, folder, progress)
+    with leader_first():  # it makes the folder and the scene's arrays, which the others find
+        this_run = begin(drive, prior, scene, config, folder, progress)
+        _ = this_run.scene
     with this_run.held():
         return _fit_and_score(args, this_run)
 
@@ -144,6 +153,8 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
         this_run.fit(args.device, on_step)
     if fields.is_trained(args.family) and before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
+    if not here().leads:
+        return 0
     if scene.test:
         print_tables([this_run], [this_run.report(args.device, args.lpips.open())])
     else:

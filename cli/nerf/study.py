@@ -1,18 +1,19 @@
 """`nerf study`: a grid of runs and its table."""
 
 import shlex
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields, replace
 from dataclasses import field as made_by
 from functools import partial
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import tyro
 
 from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, busy, err, fit_progress, out, progress
 from cli.durations import seconds
+from cli.engine import EngineArguments
 from cli.nerf.eval import LpipsArguments
 from cli.nerf.fit import FieldName
 from cli.nerf.sources import named_priors
@@ -28,7 +29,7 @@ from nerf.paper.numbers import FIELDS
 from nerf.paper.plan import FEW_VIEWS, Plan
 from nerf.quality import BEST
 from nerf.split import check_views, held_out, split
-from nerf.study import NONE, SHARES, FitRunner, Outcome, RunSpec, Study, left_of, run_study
+from nerf.study import NONE, SHARES, FitRunner, Grid, Outcome, RunSpec, Study, left_of, run_study
 from priors.errors import LARGEST_SEED, UsageError, expect_between
 from priors.filters import Filters
 from priors.selection import parse_range, select
@@ -89,6 +90,7 @@ class StudyArguments(ThreadArguments, SequenceArguments):
     device: Device = "auto"
     """Where to train and render; auto: a GPU where there is one."""
     losses: tyro.conf.OmitArgPrefixes[tyro.conf.Suppress[LossConfig]] = made_by(default_factory=AS_IT_IS)
+    engine: tyro.conf.OmitArgPrefixes[EngineArguments] = made_by(default_factory=EngineArguments)
     out: Path = STUDY
     """The study's folder; default with --sequence: study/<sequence>."""
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = made_by(default_factory=LpipsArguments)
@@ -171,7 +173,7 @@ def _make(args: StudyArguments, command: str) -> int:
         drive, args.fit(), args.frame_range(args.frames), args.device, lpips, progress, fit_progress, command_of
     )
     left = left_of(grid, args.folder, runner.settings)
-    if len(left) >= MANY:
+    if len(left) >= MANY and args.engine.engine == "local":  # another machine takes another time
         with busy("a few steps of each kind, to say what it takes"):
             told = str(forecast(runner, grid.runs(), left, args.folder))
         err.print(told)
@@ -183,7 +185,7 @@ def _make(args: StudyArguments, command: str) -> int:
         if isinstance(grid, Plan):  # a study that is killed has its page too
             page.write(Measured(grid, made), args.folder, command)
 
-    outcomes = run_study(grid, args.folder, runner, runner.settings, tell)
+    outcomes = _run(args, grid, runner, tell)
     laid = study_table.lay_out(outcomes)
     out.print(typeset.render(laid, out.width)) if out.is_terminal else out.write(typeset.plain(laid))
     for path in study_table.save(outcomes, args.folder, command):
@@ -191,6 +193,24 @@ def _make(args: StudyArguments, command: str) -> int:
     if isinstance(grid, Plan):
         out.print(f"wrote {page.write(Measured(grid, outcomes), args.folder, command)}")
     return DATA_ERROR if any(outcome.report is None for outcome in outcomes) else 0
+
+
+def _run(args: StudyArguments, grid: Grid, runner: FitRunner, tell: Callable[[Outcome], None]) -> list[Outcome]:
+    """Make the runs here, or on a cluster."""
+    if args.engine.engine == "local":
+        return run_study(grid, args.folder, runner, runner.settings, tell)
+    from nerf.study_on_ray import Cell, run_study_on_ray
+    from priors.scale.ray_session import session
+
+    def cell_of(spec: RunSpec, config: dict[str, Any]) -> Cell:
+        there = replace(spec, prior=str(Path(spec.prior).absolute())) if spec.prior not in (NONE, TRUTH.name) else spec
+        folder, drive = (args.folder / spec.name).absolute(), runner.drive.describe()
+        weights = tuple(path.absolute() for path in args.lpips.lpips_weights)
+        command = _command(args, spec, args.folder / spec.name)
+        return Cell(there, folder, config, command, drive, runner.fit, runner.frames, args.device, weights)
+
+    with session(args.engine.address) as ray:
+        return run_study_on_ray(grid, cell_of, runner.settings, (ray, args.engine.share), tell)
 
 
 def _tell(outcome: Outcome) -> None:

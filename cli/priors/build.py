@@ -1,10 +1,11 @@
 """`priors build`: make depth maps for a drive and cache them."""
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import dataclass, field, make_dataclass, replace
 from glob import escape
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import tyro
 from rich.box import SIMPLE_HEAD
@@ -12,7 +13,9 @@ from rich.table import Table
 
 from cli.arguments import SequenceArguments, ThreadArguments, parse
 from cli.console import DATA_ERROR, busy, err, out, progress
+from cli.engine import EngineArguments
 from cli.priors.left_open import LeftOpen, idle_flags, method_of
+from cli.priors.many import Asked, build_many, is_asked
 from priors import build, methods
 from priors.bench.budget import Budget
 from priors.build import BuildReport, Job, Plan
@@ -24,10 +27,11 @@ from priors.drives import poses_of
 from priors.errors import DataError, UsageError, expect_between
 from priors.filters import Filters
 from priors.machine.threads import MOST_THREADS
+from priors.scale.drive_list import DriveEntry
 from priors.selection import Selection, select
 from priors.types import Drive, Method
 
-EXAMPLES = """Make depth maps for a drive and cache them; what is cached already is not made again.
+EXAMPLES = """Make depth maps for drives and cache them; what is cached already is not made again.
 
 examples:
   priors build --method stereo                                the drive here, or the only one below
@@ -43,6 +47,8 @@ examples:
   priors build street/ --method stereo --shard 3/8            the third of eight machines
   priors build street/ --method stereo --reuse 4              a map in four is made whole: half the time
   priors build street/ --method lidar --dry-run               what would be computed, what not and why
+  priors build streets/* kitti/ drives.txt --method lidar     many drives: folders, patterns, lists
+  priors build drives.parquet --method stereo --engine ray --address auto      on a Ray cluster
 """
 
 
@@ -70,6 +76,9 @@ class BuildArguments(ThreadArguments, SequenceArguments):
     """Frames computed at the same time; with --reuse, chains of N frames."""
     dry_run: bool = False
     """List what would be computed and what is skipped and why; compute nothing."""
+    more: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="[DATA ...]")] = ()
+    """More drives: folders, patterns, lists as text or Parquet (docs/scale.md)."""
+    engine: tyro.conf.OmitArgPrefixes[EngineArguments] = field(default_factory=EngineArguments)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -83,6 +92,11 @@ class BuildArguments(ThreadArguments, SequenceArguments):
     def chosen(self) -> Selection:
         """Return which frames to work on."""
         return replace(self.selection, frames=self.frame_range(self.selection.frames))
+
+    @property
+    def names(self) -> list[Path]:
+        """The drives' names; one where the user names none: the current folder."""
+        return [self.data or Path(), *self.more]
 
     def settings(self, method: str) -> Method:
         """Return a method's settings; a subclass has a field for each method."""
@@ -101,6 +115,8 @@ def _build(args: BuildArguments, typed: list[str]) -> int:
     if args.method not in (None, "auto"):
         _refuse_idle_flags(str(args.method), typed)
         _refuse_unread(args.settings(str(args.method)), typed)
+    if is_asked(args.names, args.engine.engine):
+        return _build_many(args, typed)
     with busy("looking at the drive"):
         job, plan = _prepare(args, typed)
     if args.dry_run:
@@ -113,6 +129,25 @@ def _build(args: BuildArguments, typed: list[str]) -> int:
     _print_summary(report)
     _complain_if_nothing(report)
     return DATA_ERROR if report.failed else 0
+
+
+def _build_many(args: BuildArguments, typed: list[str]) -> int:
+    """Build several drives, each by the method that is asked for or suits it."""
+    for flag, given in (("--sequence", args.sequence), ("--dry-run", args.dry_run or None)):
+        if given is not None:
+            raise UsageError(f"{flag}: is for one drive on this machine: name one, or leave this out")
+    if args.engine.engine == "ray" and args.budget is not None:
+        raise UsageError(f"--budget {args.budget}: is measured on this machine, not on the cluster's: name a --method")
+
+    def choose(entry: DriveEntry, drive: Drive) -> Method:
+        return _settings(args, drive, select(drive.ids, entry.frames), typed)
+
+    chosen = args.chosen()
+    usual = DriveEntry(Path(), args.dataset, args.part, chosen.frames)
+    command = shlex.join(["priors", "build", *typed])
+    where = args.cache, chosen, args.workers
+    asked = Asked(args.names, usual, args.filters, *where, args.engine, args.reuse, args.temporal, command)
+    return build_many(asked, choose)
 
 
 def _prepare(args: BuildArguments, typed: list[str]) -> tuple[Job, Plan]:

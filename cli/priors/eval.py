@@ -2,7 +2,7 @@
 
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -10,6 +10,7 @@ import tyro
 
 from cli.arguments import by_drive, drive_names, parse, reopen_drive
 from cli.console import DATA_ERROR, busy, err, out, progress
+from cli.engine import EngineArguments
 from cli.mistakes import nearest
 from cli.written import expect_file
 from eval import table
@@ -19,13 +20,13 @@ from eval.result import Result
 from priors import cache
 from priors.cache import Prior
 from priors.draw import figure, lines
-from priors.errors import DataError, expect
+from priors.errors import DataError, UsageError, expect
 from priors.naming import labels
 from priors.report.frames import frames_wipe
 from priors.report.page import SUFFIX
 from priors.report.sample import Sample
 from priors.report.scores import DriveScores, scores_page, sparsification
-from priors.score import Score, pair, score_pairs
+from priors.score import Score, Scorer, pair, score_pairs
 from priors.selection import parse_range, select
 from priors.types import Drive
 
@@ -39,6 +40,7 @@ examples:
   priors eval cache/DRIVE/stereo-KEY --truth KITTI/depth --ranges --curves curves.svg
   priors eval cache/ --temporal                              how steady the maps are from frame to frame
   priors eval cache/ --against cache/DRIVE/lidar-KEY         another prior as truth
+  priors eval cache/ --engine ray --address auto             frames are scored on a Ray cluster
   priors eval a/metrics.json b/metrics.json --save table.tex  a table of results made before
 """
 
@@ -79,8 +81,12 @@ class ScoreArguments:
     """Also plot the sparsification curves of priors with a confidence: .png, .svg or .pdf."""
     save: tuple[Path, ...] = ()
     """Also write the table: .md, .tex, .csv, .txt, or .html, a report page; as many as wanted."""
+    engine: tyro.conf.OmitArgPrefixes[EngineArguments] = field(default_factory=EngineArguments)
 
     def __post_init__(self) -> None:
+        if self.engine.engine == "ray" and (self.page or self.curves is not None):
+            flag = "--save .html" if self.page else "--curves"
+            raise UsageError(f"{flag}: needs all pixels in one process: leave it out, or --engine ray")
         if self.curves is not None:
             figure.check_name(self.curves)
         parse_range(self.frames)
@@ -114,6 +120,8 @@ class Output:
     """As typed."""
     several: bool
     """Whether there are several drives: the names of their plots then have the drive's in them."""
+    scorer: Scorer | None = None
+    """What scores elsewhere; None: here."""
 
     def show(self, scored: DriveScores) -> None:
         """Print one drive's table and write its plot."""
@@ -150,10 +158,15 @@ def run(arguments: list[str]) -> int:
     """Score; returns the exit code."""
     args = parse(ScoreArguments, "priors eval", EXAMPLES, arguments)
     args.expect_writable()
+    with args.engine.scorer() as scorer:
+        return _score(args, scorer, arguments)
+
+
+def _score(args: ScoreArguments, scorer: Scorer | None, arguments: list[str]) -> int:
     loaded = _load([path for path in args.caches if path.suffix == ".json"])
     refused: list[DataError] = []
     drives = by_drive([prior for path in args.caches if path.suffix != ".json" for prior in with_maps(path, refused)])
-    output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + len(loaded) > 1)
+    output = Output(args, shlex.join(["priors", "eval", *arguments]), len(drives) + len(loaded) > 1, scorer)
     for results in loaded:
         output.show(results)
     scored = [_try_drive(together, name, output) for together, name in zip(drives, drive_names(drives), strict=True)]
@@ -186,7 +199,7 @@ def with_maps(path: Path, refused: list[DataError]) -> list[Prior]:
 def _try_drive(priors: list[Prior], name: str, output: Output) -> DriveScores | None:
     """Score and print one drive; where it cannot be scored and there are others, say why and return None."""
     try:
-        scored = _score_drive(priors, name, output.args)
+        scored = _score_drive(priors, name, output.args, output.scorer)
         output.show(scored)
     except DataError as error:
         if not output.several:
@@ -198,7 +211,7 @@ def _try_drive(priors: list[Prior], name: str, output: Output) -> DriveScores | 
     return scored
 
 
-def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments) -> DriveScores:
+def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments, scorer: Scorer | None) -> DriveScores:
     """Score the priors of one drive; one that cannot be scored is left out. DataError where none can."""
     with busy("opening the drive"):
         drive, names = reopen_drive(priors, args.truth, args.data), labels(priors, args.long)
@@ -206,7 +219,7 @@ def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments) -> 
     scored = DriveScores([], priors=dict(zip(names, priors, strict=True)), name=drive_name)
     for name in names:
         try:
-            one = score_prior(scored, name, drive, args)
+            one = score_prior(scored, name, drive, args, scorer)
         except DataError as error:
             if len(names) == 1:
                 raise
@@ -226,10 +239,13 @@ def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments) -> 
     return scored
 
 
-def score_prior(scored: DriveScores, name: str, drive: Drive, args: ScoreArguments) -> Score:
+def score_prior(
+    scored: DriveScores, name: str, drive: Drive, args: ScoreArguments, scorer: Scorer | None = None
+) -> Score:
     """Score one of the priors, and note its result, its curves, and what had to be left out."""
     prior = scored.priors[name]
     pairs = pair(prior, drive, args.frames, None if args.against is None else cache.only(args.against))
+    pairs = replace(pairs, scorer=scorer)
     with progress(name, len(pairs)) as step:
         one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step, args.temporal)
     scored.results.append(one.result)

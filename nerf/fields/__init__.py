@@ -48,6 +48,11 @@ def aligns(name: str) -> bool:
     return bool(getattr(family(name), "aligns", False))
 
 
+def shares(name: str) -> bool:
+    """Tell whether several processes can fit one model of a family together."""
+    return bool(getattr(family(name), "shares", False))
+
+
 def unread(config: FitConfig) -> dict[str, Any]:
     """Return the flags of settings that are not the usual ones and that the config's family does not read."""
     names = getattr(family(config.model.family), "unread", ())

@@ -15,6 +15,7 @@ from priors.cache import Prior
 from priors.cache.learned import Freshness, WatchedDrive
 from priors.cache.places import follow
 from priors.cache.sources import Digests
+from priors.cache.store import publish
 from priors.errors import DataError, expect
 from priors.filters import Filters
 from priors.machine import threads
@@ -95,13 +96,9 @@ class Job:
         """
         expect(workers >= 1, "--workers", workers, "1 or more")
         plan = self.plan() if plan is None else plan
-        self._restamp(plan)
+        self.restamp(plan)
         if not plan.todo:
-            if self.prior.ids() and self._manifest_is_old():
-                cache.create(self.prior.folder, self.prior.manifest)
-                follow(self.prior)
-            self._note_decided()
-            tidy(self.prior.folder / CLAIMS)
+            self.end()
             return BuildReport(self.prior, plan, failed=dict(plan.failed))
         for note in self.method.notes():
             on_note(note)
@@ -114,19 +111,42 @@ class Job:
 
     def begin(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""
+        work = self.work(on_frame, on_note)
+        self.make_folder()
+        return work
+
+    def work(
+        self,
+        on_frame: Callable[[str], None] = lambda frame_id: None,
+        on_note: Callable[[str], None] = lambda line: None,
+    ) -> Work:
+        """Return what computes frames, in a folder that is made: what the method learns, and its network."""
         watched = WatchedDrive(self.drive)
         if self.join is not None:
             make_depth: Callable[[Frame], Depth] = self.join(on_note)
         else:
             make_depth = self.method.prepare(watched, self.prior.folder.parent / "weights", on_note)
         learned = watched.sources(self.judge.freshness.digests)
-        cache.create(self.prior.folder, self.prior.manifest)
-        follow(self.prior)
-        self.prior.drop_stale()
         maker = Maker(make_depth, self.method.carry_on, self.filters)
         return Work(self.chains, self.prior, self.judge, maker, on_frame, learned)
 
-    def _restamp(self, plan: Plan) -> None:
+    def make_folder(self) -> None:
+        """Make the prior's folder, and clear away what killed builds left; once a build, before its first frame."""
+        cache.create(self.prior.folder, self.prior.manifest)
+        follow(self.prior)
+        self.prior.drop_stale()
+        for path in (self.prior.folder.parent / "weights").glob("*.safetensors"):  # what adapted to the drive
+            publish(path)
+
+    def end(self) -> None:
+        """Bring the manifest up to date where there is nothing to compute."""
+        if self.prior.ids() and self._manifest_is_old():
+            cache.create(self.prior.folder, self.prior.manifest)
+            follow(self.prior)
+        self._note_decided()
+        tidy(self.prior.folder / CLAIMS)
+
+    def restamp(self, plan: Plan) -> None:
         """Note the times of files that were copied, so that the next plan need not read them."""
         lines = self.prior.lines()
         with suppress(OSError):  # a cache that cannot be written: they are read each time

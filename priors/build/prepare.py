@@ -14,6 +14,7 @@ from priors.build.job import Job
 from priors.build.temporal import Joined, expect_poses, record_of
 from priors.cache import Prior
 from priors.cache.manifest import NewerFormatError
+from priors.cache.store import mirror, store_of
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.records import record
@@ -35,7 +36,7 @@ def prepare(
         drive: what to make depth for.
         method: how; 'auto' is decided on the drive's first frame.
         filters: what to leave out of the maps; default: nothing.
-        folder: the cache.
+        folder: the cache, or its URL in an object store.
         reuse: frames at positions that are multiples of it are made whole, those after each of the one before.
         temporal: join each map with those of so many frames before and after it (priors/fusion/moments.py).
 
@@ -46,6 +47,7 @@ def prepare(
     """
     filters = filters or Filters()
     _check_names(drive)
+    folder = _here(folder, drive.name)
     frame = _first_readable(drive)
     check_reuse(reuse, method, frame)
     home = folder / drive.name
@@ -68,6 +70,15 @@ def prepare(
     key = keys.key(manifest, type(method))
     prior = Prior(home / f"{method.name}-{key}", {**manifest, "key": key})
     return Job(drive, method, filters, prior, _has_lost_manifest(prior), **kind)
+
+
+def _here(folder: Path, drive: str) -> Path:
+    """Return the cache, or a store's mirror with all of the drive but the maps."""
+    here = mirror(folder)
+    store = store_of(here)
+    if store is not None:
+        store.pull(drive, (".json", ".jsonl", ".safetensors"))
+    return here
 
 
 def _manifest(drive: Drive, frame: Frame, method: Method, filters: Filters) -> dict[str, Any]:

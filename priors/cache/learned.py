@@ -17,6 +17,7 @@ from typing import Any
 
 from eval.files import write_bytes
 from priors.cache.sources import Call, Digests, Sources, record_calls, watch, why_stale
+from priors.cache.store import publish
 from priors.drive_around import DriveAround
 from priors.errors import DataError
 from priors.types import Drive, Frame
@@ -56,6 +57,7 @@ def keep(folder: Path, sources: DriveSources) -> dict[str, Any] | None:
     content = {id_: {call: _content(file) for call, file in calls.items()} for id_, calls in sources.items()}
     name = f"{hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()}.json"
     write_bytes(folder / FOLDER / name, (json.dumps(sources, indent=1) + "\n").encode())
+    publish(folder / FOLDER / name)
     return {"file": name}
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from priors.cache.manifest import NAME
 from priors.cache.prior import Prior, create, load
+from priors.cache.store import mirror
 from priors.errors import DataError
 
 BUILD = "`priors build DATA --method stereo`"
@@ -15,13 +16,14 @@ def find(path: Path, on_refused: Callable[[DataError], None] | None = None) -> l
     """Return the priors at path: a prior's own folder, a drive's, or the whole cache.
 
     Args:
-        path: the folder.
+        path: the folder, or a store's URL: what lies there is brought here.
         on_refused: told of each prior that cannot be read (a damaged manifest, a later format), which is left out;
             without it the first of them is raised.
 
     Raises:
         DataError: there is no prior, or none that can be read.
     """
+    path = mirror(path, pull=True)
     if not path.is_dir():
         what = (
             "is a file: name a folder of priors" if path.exists() else f"no such folder: build a prior first ({BUILD})"

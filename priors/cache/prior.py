@@ -21,6 +21,7 @@ from priors import codecs
 from priors.cache import manifest as manifests
 from priors.cache.journal import Entry, Journal, Line
 from priors.cache.sources import Sources
+from priors.cache.store import Store, publish, store_of
 from priors.errors import DataError
 from priors.frame_ids import in_order
 from priors.types import Depth, FloatMap
@@ -62,6 +63,19 @@ class Prior:
         return record
 
     @cached_property
+    def store(self) -> Store | None:
+        """The object store that the folder is a mirror of; None: it is a folder of a disk."""
+        return store_of(self.folder)
+
+    @cached_property
+    def _stored(self) -> set[str]:
+        """The maps that lie in the store, by their names in the folder: depth/<id>.png."""
+        if self.store is None:
+            return set()
+        own = self.folder.relative_to(self.store.folder).as_posix()
+        return {name.removeprefix(f"{own}/") for name in self.store.names(own) if name.endswith(".png")}
+
+    @cached_property
     def journal(self) -> Journal:
         """What was computed and what was found damaged."""
         return Journal(self.folder / "frames.jsonl")
@@ -80,11 +94,12 @@ class Prior:
 
     def ids(self) -> list[str]:
         """List the frames that have a depth file."""
+        stored = {name[6:-4] for name in self._stored if name.startswith("depth/")}
         try:
             with os.scandir(self.folder / "depth") as entries:
-                return in_order(e.name[:-4] for e in entries if _is_map(e.name) and e.is_file())
+                return in_order({e.name[:-4] for e in entries if _is_map(e.name) and e.is_file()} | stored)
         except (FileNotFoundError, NotADirectoryError):
-            return []
+            return in_order(stored)
 
     def has(self, frame_id: str) -> bool:
         """Tell whether a frame is done: its files are there and whole, and nobody found them damaged."""
@@ -98,7 +113,7 @@ class Prior:
         written = _written(entry)
         for kind in self._kinds(frame_id, entry):
             path = self.path(kind, frame_id)
-            if not _is_whole(path, written.get(kind, {}).get("bytes")):
+            if not self._is_there(path, written.get(kind, {}).get("bytes")):
                 return f"{kind}/{path.name}: " + ("half written" if path.exists() else "no such file")
         return None
 
@@ -150,7 +165,23 @@ class Prior:
             temporary.write_bytes(data)
             path.unlink(missing_ok=True)  # the new line must never stand beside an old map
             self.journal.append(line)
+        self._publish(frame_id, line, list(others))
         return line
+
+    def _publish(self, frame_id: str, line: Line, others: list[str]) -> None:
+        """Put a frame's files into the store, where there is one, the depth last; they need not stay here."""
+        if self.store is None:
+            return
+        paths = [self.path(kind, frame_id) for kind in others]
+        try:
+            for path in paths:
+                self.store.put(path)
+            self.store.add_line(self.folder, line)
+            self.store.put(self.depth_path(frame_id))
+            self._stored.update(f"{path.parent.name}/{path.name}" for path in [*paths, self.depth_path(frame_id)])
+        finally:
+            for path in [*paths, self.depth_path(frame_id)]:
+                path.unlink(missing_ok=True)
 
     def drop_stale(self) -> None:
         """Delete temporary files that a kill left behind, once no other machine can still be writing them."""
@@ -178,14 +209,15 @@ class Prior:
         kinds = ["depth"]
         if "confidence" in written if written else (self.folder / "confidence").is_dir():
             kinds.append("confidence")
-        return kinds + [k for k in CONFIDENCES if k not in kinds and (k in written or self.path(k, frame_id).exists())]
+        there = [k for k in CONFIDENCES if self.path(k, frame_id).exists() or f"{k}/{frame_id}.png" in self._stored]
+        return kinds + [k for k in CONFIDENCES if k not in kinds and (k in written or k in there)]
 
     def _read(self, frame_id: str, entry: Entry) -> Depth:
         maps: dict[str, FloatMap] = {}
         for kind in self._kinds(frame_id, entry):
             path = self.path(kind, frame_id)
             try:
-                data = codecs.read_bytes(path)
+                data = self._bytes(path)
             except DataError as error:
                 raise DataError(
                     f"{error} (half-written cache: {self._mend})" if not path.exists() else str(error)
@@ -197,6 +229,18 @@ class Prior:
                 found = " and ".join(map(str, (values.shape, size)))
                 raise DamagedError(f"{self.path(kind, frame_id)}: sizes differ, {found}: {self._mend}")
         return Depth(maps["depth"], *map(maps.get, CONFIDENCES))
+
+    def _is_there(self, path: Path, size: Any) -> bool:
+        """Tell whether a map is there and whole, without reading it: in the store where there is one."""
+        if self.store is not None:
+            return f"{path.parent.name}/{path.name}" in self._stored
+        return _is_whole(path, size)
+
+    def _bytes(self, path: Path) -> bytes:
+        """Read a file of the folder, or of the store where it is not here."""
+        if self.store is not None and not path.exists() and f"{path.parent.name}/{path.name}" in self._stored:
+            return self.store.get(path.relative_to(self.store.folder).as_posix())
+        return codecs.read_bytes(path)
 
     def _decode(self, kind: str, data: bytes, path: Path, written: Line | None) -> FloatMap:
         """Return what a file holds; DamagedError where it is not what was written, or no map at all."""
@@ -241,6 +285,7 @@ def create(folder: Path, manifest: dict[str, Any]) -> Prior:
         OSError: it cannot be written.
     """
     manifests.write(folder, manifest)
+    publish(folder / manifests.NAME)
     return Prior(folder, manifest)
 
 

@@ -1,0 +1,164 @@
+"""Builds on a Ray cluster: the local engine's maps, whatever dies; and what cannot be begun is told in a line."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+from factories import write_as_folder
+
+from cli.priors import PROGRAM
+from priors import build, drives, methods
+from priors.errors import DataError
+from priors.filters import Filters
+from priors.scale import ray_session
+from priors.scale.crew import Builder, Stretch, plan_drive
+from priors.scale.drive_list import DriveEntry
+from priors.scale.order import Order
+from priors.scale.ray_session import Share, session, slots
+from priors.scale.tally import Part, Tally
+from priors.selection import Selection
+from priors.types import Method
+
+pytestmark = pytest.mark.cluster
+FLEET = Path(__file__).parent / "fleet"
+FRAMES, DEADLY, BROKEN = 10, "000003", "000007"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def extended() -> Iterator[None]:
+    """The methods and drives of tests/fleet are choices here, as ROADPRIOR_EXTENSIONS makes them elsewhere."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROADPRIOR_EXTENSIONS", str(FLEET))
+        patch.setattr(methods, "__path__", [*methods.__path__, str(FLEET / "methods")])
+        patch.setattr(drives, "__path__", [*drives.__path__, str(FLEET / "drives")])
+        yield
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    """Two cores of this machine as a Ray cluster, for all tests of this file."""
+    if os.environ.get("ROADPRIOR_CLUSTER") != "required":
+        pytest.importorskip("ray")
+    ray = ray_session.import_ray()
+    passed = {"ROADPRIOR_EXTENSIONS": str(FLEET), "PYTHONPATH": str(FLEET.parents[1])}
+    given = {"log_to_driver": False, "logging_level": 40, "runtime_env": {"env_vars": passed}}
+    ray.init(num_cpus=2, include_dashboard=False, object_store_memory=100 * 2**20, **given)
+    yield ray
+    ray.shutdown()
+
+
+@pytest.fixture
+def fleet(tmp_path: Path) -> list[Path]:
+    """Two drives without files."""
+    from priors.drives.counted import write_counted  # type: ignore[import-not-found]
+
+    return [write_counted(tmp_path / name, FRAMES) for name in ("one", "two")]
+
+
+def fragile(**settings: Any) -> Method:
+    from priors.methods.fragile import Fragile  # type: ignore[import-not-found]
+
+    method: Method = Fragile(**settings)
+    return method
+
+
+def order(drive: Path, method: Method, cache: Path, frames: str | None = None) -> Order:
+    return Order(DriveEntry(drive, "counted", frames=frames), method, Filters(), cache, Selection(frames))
+
+
+def maps(cache: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(cache)): path.read_bytes() for path in sorted(cache.glob("*/*/depth/*.png"))}
+
+
+def test_a_cluster_makes_the_same_maps_and_outlives_what_kills_its_processes(
+    cluster: Any, fleet: list[Path], tmp_path: Path
+) -> None:
+    """Frames that are there are not made again; a deadly one takes three processes and is reported, others go on."""
+    from priors.scale.on_ray import build_on_ray
+
+    method = fragile(deadly=DEADLY, broken=BROKEN)
+    for drive in fleet:
+        build.prepare(drives.open_drive(drive), method, folder=tmp_path / "local").run(
+            build.Plan([index for index in range(FRAMES) if index not in (3, 7)])
+        )
+    before = order(fleet[0], method, tmp_path / "cache").prepare()
+    before.run(before.plan(Selection("0:3")))
+    tallies = [Tally(drive.name, str(drive)) for drive in fleet]
+    orders = [order(drive, method, tmp_path / "cache") for drive in fleet]
+    build_on_ray(orders, 1, lambda part: tallies[part.drive].add(part), Share(1))
+
+    assert maps(tmp_path / "cache") == maps(tmp_path / "local")
+    assert [(each.cached, each.built, each.done) for each in tallies] == [(3, 5, 7), (0, 8, 10)]
+    for each in tallies:
+        assert sorted(each.failed) == [DEADLY, BROKEN]
+        assert "3 processes died with it" in each.failed[DEADLY]
+        assert "ZeroDivisionError: by what the image shows" in each.failed[BROKEN]
+        lines = [
+            json.loads(line)["id"] for line in (Path(each.folder) / "frames.jsonl").read_text("utf-8").splitlines()
+        ]
+        assert len(lines) == len(set(lines)) == 8, "a frame was computed twice"
+
+
+def test_what_a_process_does_needs_no_engine(fleet: list[Path], tmp_path: Path) -> None:
+    """A stretch that is given twice, as after a kill, is computed once; a drive that is gone is told by its frames."""
+    orders = [order(fleet[0], fragile(), tmp_path / "cache")]
+    planned = list(plan_drive(0, orders[0], 4))
+    assert isinstance(planned[0], Part) and (planned[0].todo, planned[0].cached) == (FRAMES, 0)
+    stretches = [each for each in planned if isinstance(each, Stretch)]
+    assert [each.indices for each in stretches] == [[0, 1, 2, 3], [4, 5, 6, 7], [8, 9]]
+    builder = Builder(orders, 1, 1)
+    parts = [builder(stretch) for stretch in [*stretches, stretches[0]]]
+    assert [part.built for part in parts] == [4, 4, 2, 4] and not any(part.failed for part in parts)
+    assert len(maps(tmp_path / "cache")) == FRAMES
+    (fleet[0] / "counted.txt").unlink()
+    lost = Builder(orders, 1, 1)(stretches[0])
+    assert lost.done == len(lost.failed) == 4
+    assert [part.error for part in plan_drive(0, orders[0], 4) if isinstance(part, Part)] != [""]
+
+
+def test_a_command_builds_many_drives(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Here, one after the other: the missing one is told, the table has a row each, summary.json has all."""
+    for name in ("one", "two"):
+        write_as_folder(drives.open_drive(street)[:2], tmp_path / name)
+    listed = tmp_path / "drives.txt"
+    listed.write_text("two --frames 0:1\nnone\n")
+    words = ["build", str(tmp_path / "one"), str(listed), "--method", "completion", "--completion.model", "classical"]
+    for built in ((2, 1), (0, 0)):
+        assert PROGRAM.run([*words, "--cache", str(tmp_path / "cache")]) == 1
+        done = capsys.readouterr()
+        assert f"{tmp_path / 'none'}: no such folder" in done.err
+        summary = json.loads((tmp_path / "cache" / "summary.json").read_text("utf-8"))
+        rows = [(row["name"], row["built"], row["cached"], bool(row["error"])) for row in summary["drives"]]
+        assert rows == [
+            ("one", built[0], 2 - built[0], False),
+            ("two", built[1], 1 - built[1], False),
+            ("none", 0, 0, True),
+        ]
+
+
+def test_without_ray_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(DataError, match=r"pip install 'roadprior\[cluster\]'"), session(None):
+        pass
+
+
+def test_no_cluster_at_the_address_is_one_line() -> None:
+    def refuse(**_: Any) -> None:
+        raise ConnectionError("could not find any running Ray instance\nmore lines")
+
+    ray = SimpleNamespace(init=refuse)
+    with pytest.raises(DataError, match=r"^--address auto: no cluster there: `ray start` begins one$"):
+        ray_session._connect(ray, "auto")  # type: ignore[arg-type]
+
+
+def test_a_share_that_no_node_has_is_refused() -> None:
+    nodes = [{"Alive": True, "Resources": {"CPU": 8.0, "GPU": 1.0}}, {"Alive": False, "Resources": {"CPU": 99.0}}]
+    ray: Any = SimpleNamespace(nodes=lambda: nodes)
+    assert slots(ray, Share(3)) == 2 and slots(ray, Share(1, 0.5)) == 2
+    with pytest.raises(DataError, match="no node has 9 cores"):
+        slots(ray, Share(9))
