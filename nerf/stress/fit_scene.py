@@ -12,7 +12,7 @@ from priors.errors import DataError
 from priors.street.write import write_street
 
 FRAMES, SEED, SIZE = 40, 11, (128, 416)
-"""Of the street: ten training views, and squares of 20 px are no houses."""
+"""Of the street: ten training views."""
 
 
 def opened(data: Path | None, prior: Path | None, folder: Path) -> tuple[Scene, Truths]:

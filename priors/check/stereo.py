@@ -91,7 +91,7 @@ def _judge_shifts(pairs: Sequence[Sample], shifts: npt.NDArray[np.float64]) -> F
         cause = moment or "the two images are of two moments"
         return Finding("fatal", "stereo", f"{text}, scattered by {scatter_px:.1f} px: {cause}: join them by frame")
     if abs(rows_px) > BAD_ROW_PX:
-        text += ": the rows do not match, stereo will be poor: rectify the pair anew"
+        text += ": the rows do not match: stereo shifts them back, nothing else does: rectify the pair anew"
         return Finding("warning", "stereo", text)
     if abs(rows_px) > OFF_ROW_PX or wrong > 0.2:
         return Finding("warning", "stereo", f"{text}, {wrong:.0%} shifted the wrong way: rectified well?")
