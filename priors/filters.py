@@ -8,16 +8,20 @@ and applies the active ones in the order in which they stand here.
 import hashlib
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any, Literal, Protocol
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Literal, Protocol, TypeAlias, get_args
 
 import numpy as np
 
+from priors.error_model import METRE, PIXEL, WITHIN, chance_of, spread_of
 from priors.errors import LARGEST_SEED, DataError, expect, expect_between, expect_choices
 from priors.geometry import convert_disparity
 from priors.pairs.matching import quick_match
 from priors.pairs.read import read_pair
 from priors.types import Depth, FloatMap, Frame, Input
+
+Sorts: TypeAlias = Literal["metres", "relative", "pixels"]
+"""Errors that a probability may be of."""
 
 
 class Filter(Protocol):
@@ -105,6 +109,27 @@ def frame_seed(seed: int, frame_id: str) -> int:
     return int.from_bytes(hashlib.blake2b(f"{seed}/{frame_id}".encode(), digest_size=8).digest(), "little")
 
 
+def sort_by(depth: Depth, by: Sorts, frame: Frame) -> Depth:
+    """Return the map with another reading as its confidence: the probability of an error within 1 m, 5 % or 1 px.
+
+    Raises DataError where the map does not tell its relative error, and where pixels are asked of a frame without a
+    pair.
+    """
+    if depth.within_5_percent is None:
+        raise DataError(
+            f"frame {frame.id}: --keep-by {by}: the map does not tell its relative error (docs/filters.md): build it "
+            "again with this version, or leave --keep-by out"
+        )
+    if by == "relative":
+        return replace(depth, confidence=depth.within_5_percent)
+    if by == "pixels" and frame.baseline_m is None:
+        raise DataError(f"frame {frame.id}: --keep-by pixels: it has no stereo pair: choose metres or relative")
+    fx_baseline = None if frame.baseline_m is None else frame.camera.fx * frame.baseline_m
+    spread = spread_of(depth.depth_m, depth.within_5_percent, WITHIN)
+    chance = chance_of(depth.depth_m, spread, METRE if by == "metres" else PIXEL, fx_baseline)
+    return replace(depth, confidence=np.where(depth.within_5_percent > 0, chance, np.float32(0)))
+
+
 def _confidence(depth: Depth) -> FloatMap:
     if depth.confidence is None:
         raise DataError("this method has no confidence to filter by: leave out --confidence and --keep")
@@ -188,6 +213,18 @@ class Confidence:
 
 
 @dataclass(frozen=True)
+class ConfidenceBy(Confidence):
+    """Keep values that are right within 1 m, 5 % or 1 px with enough probability."""
+
+    by: Sorts
+    """Which error."""
+
+    def __call__(self, depth: Depth, frame: Frame) -> Depth:
+        """Invalidate what is less likely right."""
+        return depth.keep(keep_confident(sort_by(depth, self.by, frame), self.least).valid)
+
+
+@dataclass(frozen=True)
 class Keep:
     """Keep the most confident share of the values, exactly."""
 
@@ -197,6 +234,19 @@ class Keep:
     def __call__(self, depth: Depth, frame: Frame) -> Depth:
         """Invalidate the least trusted values."""
         return keep_best(depth, self.fraction, frame_seed(0, frame.id))
+
+
+@dataclass(frozen=True)
+class KeepBy(Keep):
+    """Keep the share of the values that are most likely right within 1 m, 5 % or 1 px, exactly."""
+
+    by: Sorts
+    """Which error."""
+
+    def __call__(self, depth: Depth, frame: Frame) -> Depth:
+        """Invalidate what is least likely right."""
+        kept = keep_best(sort_by(depth, self.by, frame), self.fraction, frame_seed(0, frame.id))
+        return depth.keep(kept.valid)
 
 
 @dataclass(frozen=True)
@@ -235,6 +285,9 @@ class Filters:
     """Keep this share of the values, drawn at random."""
     density_seed: int = 0
     """Which values --density draws."""
+    keep_by: Sorts | None = None
+    """What --keep and --confidence go by: the probability of an error within 1 m, of 5 % of the depth, or of 1 px of
+    disparity. Default: the method's own confidence."""
 
     def __post_init__(self) -> None:
         expect_choices(self, "")
@@ -246,6 +299,9 @@ class Filters:
         }
         for flag, share in shares.items():
             expect(share is None or 0 <= share <= 1, flag, share, "a number from 0 to 1")
+        alone = self.keep_by is not None and self.keep is None and self.confidence is None
+        expect(not alone, "--keep-by", self.keep_by, "--keep or --confidence beside it: it says what they go by")
+        expect(self.keep_by in (None, *get_args(Sorts)), "--keep-by", self.keep_by, "metres, relative or pixels")
         for flag in ("--keep", "--density"):
             expect(shares[flag] != 0, flag, 0, "more than 0: nothing would be left")
         expect(self.clip != 0, "--clip", 0, "more than 0 m: nothing would be left")
@@ -263,11 +319,16 @@ class Filters:
             TruthMask() if self.truth_mask else None,
             None if self.clip is None else Clip(float(self.clip)),
             None if self.left_right is None else LeftRight(float(self.left_right)),
-            None if self.confidence is None else Confidence(float(self.confidence)),
-            None if self.keep is None else Keep(float(self.keep)),
+            None if self.confidence is None else self._by(Confidence, ConfidenceBy, self.confidence),
+            None if self.keep is None else self._by(Keep, KeepBy, self.keep),
             None if self.density is None else Density(float(self.density), self.density_seed),
         ]
         return [step for step in steps if step is not None]
+
+    def _by(self, own: type[Filter], other: type[Filter], share: float) -> Filter:
+        """Make a filter by the method's own confidence, or by another reading."""
+        given: Any = (float(share),) if self.keep_by is None else (float(share), self.keep_by)
+        return (own if self.keep_by is None else other)(*given)
 
     def record(self) -> dict[str, Any]:
         """Return the active filters with their settings: what the cache's key and manifest hold."""

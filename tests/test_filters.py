@@ -189,7 +189,7 @@ def test_order_is_what_the_docstring_says() -> None:
     active = Filters("mask", 0.3, True, 80, 1.5, 0.5, 0.9, 0.2)
     expected = ["SkyMask", "SkyRows", "TruthMask", "Clip", "LeftRight", "Confidence", "Keep", "Density"]
     assert list(active.record()) == expected
-    fields = [field.name for field in dataclasses.fields(Filters) if field.name != "density_seed"]
+    fields = [field.name for field in dataclasses.fields(Filters) if field.name not in ("density_seed", "keep_by")]
     assert len(fields) == len(expected)
 
 
@@ -220,3 +220,39 @@ def test_a_map_without_values_passes_every_filter(shape: tuple[int, int]) -> Non
     empty = Depth(np.zeros(shape, np.float32), np.zeros(shape, np.float32))
     active = Filters(sky_rows=0.5, clip=80, confidence=0.5, keep=0.5, density=0.5)
     assert not active(empty, make_frame(shape)).valid.any()
+
+
+def sure_map() -> Depth:
+    """Near and far values that are as likely right within 5 %, and one that is less."""
+    depth_m = np.array([[2, 20, 80, 20]], np.float32)
+    return Depth(depth_m, np.full((1, 4), 0.5, np.float32), within_5_percent=np.float32([[0.9, 0.9, 0.9, 0.6]]))
+
+
+def test_keep_by_says_which_error_sorts() -> None:
+    """Of equal relative errors the nearest is best in metres and, by its disparity, worst in pixels."""
+    frame, depth = make_frame((1, 4)), sure_map()
+
+    def left(**flags: Any) -> list[float]:
+        kept = Filters(**flags)(depth, frame)
+        assert kept.confidence is not None and set(np.unique(kept.confidence)) <= {0, 0.5}, "it is the method's own"
+        return kept.depth_m[kept.valid].tolist()
+
+    assert left(keep=0.25, keep_by="metres") == [2]
+    assert left(keep=0.75, keep_by="pixels") == [20, 80, 20]
+    assert left(keep=0.75, keep_by="relative") == [2, 20, 80]
+    assert left(confidence=0.7, keep_by="relative") == [2, 20, 80]
+    assert left(confidence=0.8, keep_by="metres") == [2, 20], "5 % of 20 m is a metre: as likely"
+
+
+def test_keep_by_needs_what_it_reads() -> None:
+    alone = dataclasses.replace(make_frame((1, 4)), baseline_m=None)
+    with pytest.raises(DataError, match="000007: --keep-by pixels: it has no stereo pair"):
+        Filters(keep=0.5, keep_by="pixels")(sure_map(), alone)
+    with pytest.raises(DataError, match="--keep-by metres: the map does not tell its relative error"):
+        Filters(keep=0.5, keep_by="metres")(dataclasses.replace(sure_map(), within_5_percent=None), alone)
+    with pytest.raises(DataError, match="--keep-by relative: expected --keep or --confidence beside it"):
+        Filters(keep_by="relative")
+    with pytest.raises(DataError, match="--keep-by size: expected metres"):
+        Filters(keep=0.5, keep_by="size")  # type: ignore[arg-type]
+    assert Filters(keep=0.5).record() == {"Keep": {"fraction": 0.5}}, "keys stay what they were"
+    assert Filters(keep=0.5, keep_by="metres").record() == {"KeepBy": {"fraction": 0.5, "by": "metres"}}

@@ -10,7 +10,7 @@ import torch
 from test_mono import Road, file, intrinsics, net, road  # noqa: F401
 
 from priors.methods._mono_network import estimate
-from priors.methods._mono_size import PIXELS, share_of, shrink
+from priors.methods._mono_size import FOCAL_PX, PIXELS, share_of, shrink
 from priors.methods.mono import Mono
 from priors.nets import bts
 from priors.nets.runtime import Ready
@@ -23,12 +23,23 @@ pytestmark = pytest.mark.networks
 
 @pytest.mark.parametrize("size", [(375, 1242), (376, 1241), (376, 1408), (64, 160), (1, 9000), (1, 1)])
 def test_images_of_kittis_size_stay_as_they_are(size: tuple[int, int]) -> None:
-    assert share_of(size) == 1
+    assert share_of(Camera(intrinsics(721.5, size), size)) == 1
+
+
+def test_one_focal_length_for_both() -> None:
+    assert bts.FOCAL_PX == FOCAL_PX
 
 
 @pytest.mark.parametrize("size", [(900, 1600), (1200, 1920), (3000, 4000), (4000, 300), (5, 400_000)])
 def test_larger_ones_get_as_many_pixels(size: tuple[int, int]) -> None:
-    assert shrink(np.zeros(size, np.uint8), share_of(size)).size == pytest.approx(PIXELS, rel=0.01 + 1 / min(size))
+    share = share_of(Camera(intrinsics(700, size), size))
+    assert shrink(np.zeros(size, np.uint8), share).size == pytest.approx(PIXELS, rel=0.01 + 1 / min(size))
+
+
+@pytest.mark.parametrize(("focal_px", "share"), [(300, 1), (1150, 1), (1443, 0.75), (2165, 0.5)])
+def test_long_focal_lengths_are_shortened(focal_px: float, share: float) -> None:
+    size = (375, 1242)
+    assert share_of(Camera(intrinsics(focal_px, size), size)) == pytest.approx(share, rel=1e-3)
 
 
 def test_a_picture_twice_as_large_is_of_the_same_scene(net: bts.Bts) -> None:  # noqa: F811

@@ -15,7 +15,7 @@ from priors.methods._network import Network
 from priors.methods._reference import READS, ReferenceDepth
 from priors.resized import Resized
 from priors.selection import parse_hold_out, parse_range, select
-from priors.types import Depth, Drive, Frame, Input, Method
+from priors.types import Camera, Depth, Drive, Frame, Input, Method
 
 
 @dataclass(frozen=True)
@@ -34,8 +34,8 @@ class Mono(Method):
     runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
     """What runs our network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     resize: Literal["auto", "none"] = "auto"
-    """auto: an image with more pixels than KITTI's is made as small for our network, as the drive's first frame says;
-    none: it is looked at as it is."""
+    """auto: an image with more pixels than KITTI's, or more than 1.5 times its focal length, is shrunk for our network,
+    as the drive's first frame says; none: it is looked at as it is."""
     adapt: Literal["none", "lidar", "stereo", "video"] = "none"
     """Fine-tune our network on this drive first: on each training frame's own sweep, where its stereo is sure, or so
     that posed training frames explain each other."""
@@ -121,7 +121,7 @@ class Mono(Method):
         if self._foreign is not None:
             resolved = replace(resolved, size=fresh.size, runtime=fresh.runtime, resize="none")
         else:
-            small = share_of(frame.camera.size) == 1  # then it decides nothing
+            small = share_of(frame.camera) == 1  # then it decides nothing
             resize = "none" if small else self.resize
             resolved = replace(resolved, runtime=self.network.decide_floating(), resize=resize)
         if aligner is None:
@@ -210,11 +210,11 @@ class Mono(Method):
         from priors.methods._mono_network import estimate
 
         net = network.open()
-        return lambda image, camera: estimate(net, image, camera, self._share(camera.size))
+        return lambda image, camera: estimate(net, image, camera, self._share(camera))
 
-    def _share(self, size: tuple[int, int]) -> float:
+    def _share(self, camera: Camera) -> float:
         """Return the share of an image's sides at which our network looks at it."""
-        return share_of(size) if self.resize == "auto" else 1.0
+        return share_of(camera) if self.resize == "auto" else 1.0
 
     def _adapt(
         self,
@@ -229,7 +229,7 @@ class Mono(Method):
         from priors.methods._mono_network import adapted_weights
         from priors.methods._mono_supervision import by_depth, by_video
 
-        share = self._share(drive[indices[0]].camera.size)
+        share = self._share(drive[indices[0]].camera)
         seen = drive if share == 1 else Resized(drive, share)
         if how == "video":
             planned = by_video(seen, indices)
