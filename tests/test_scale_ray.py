@@ -2,8 +2,10 @@
 
 import json
 import os
+import pickle
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -12,16 +14,23 @@ import pytest
 from factories import write_as_folder
 
 from cli.priors import PROGRAM
+from nerf import study_on_ray
+from nerf.config import FitConfig
+from nerf.study import FitRunner, RunSpec, Study
 from priors import build, drives, methods
 from priors.errors import DataError
 from priors.filters import Filters
-from priors.scale import ray_session
+from priors.methods.completion import Completion
+from priors.scale import ray_session, scoring
 from priors.scale.crew import Builder, Stretch, plan_drive
 from priors.scale.drive_list import DriveEntry
 from priors.scale.order import Order
 from priors.scale.ray_session import Share, session, slots
 from priors.scale.tally import Part, Tally
+from priors.scale.tasks import Done
+from priors.score import pair, score_pairs
 from priors.selection import Selection
+from priors.street.write import write_street
 from priors.types import Method
 
 pytestmark = pytest.mark.cluster
@@ -102,6 +111,51 @@ def test_a_cluster_makes_the_same_maps_and_outlives_what_kills_its_processes(
             json.loads(line)["id"] for line in (Path(each.folder) / "frames.jsonl").read_text("utf-8").splitlines()
         ]
         assert len(lines) == len(set(lines)) == 8, "a frame was computed twice"
+
+
+def test_scores_of_a_cluster_are_those_of_one_machine(
+    cluster: Any, street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Stretches are merged in the frames' order; a damaged map is left out with its reason."""
+    monkeypatch.setattr(scoring, "STRETCH", 2)
+    drive = drives.open_drive(write_as_folder(drives.open_drive(street), tmp_path / "street"))
+    prior = build.prepare(drive, Completion(), folder=tmp_path / "cache").run().prior
+    alone = score_pairs(pair(prior, drive)).result
+    pairs = replace(pair(prior, drive), scorer=scoring.RayScorer(cluster, Share(1)))
+    told: list[str] = []
+    assert score_pairs(pairs, on_frame=told.append).result == alone and sorted(told) == prior.ids()
+    prior.depth_path(prior.ids()[0]).write_bytes(b"no map")
+    score_pairs(pairs)
+    assert list(pairs.left_out) == [prior.ids()[0]]
+
+
+def test_a_study_on_a_cluster_makes_every_run_once(
+    street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Cells travel as plain values; what is done is found done; a run whose process dies is told."""
+
+    def one_by_one(_: Any, function: Any, items: Any, share: Share) -> Iterator[Done[Any]]:
+        cells = pickle.loads(pickle.dumps(list(items)))
+        for number, item in reversed(list(enumerate(cells))):
+            lost = item.spec.seed == 1
+            yield Done(number, None if lost else function(item), "3 processes died with it" if lost else "")
+
+    write_street(tmp_path / "street", 10, 7, (32, 96))
+    drive = drives.open_drive(tmp_path / "street")
+    monkeypatch.setattr(study_on_ray, "run_tasks", one_by_one)
+    fit, grid = FitConfig(steps=1, rays=16, seconds=None, align="none"), Study(views=("dense",), seeds=(0, 1, 2))
+    runner = FitRunner(drive, fit, device="cpu")
+
+    def cell_of(spec: RunSpec, config: dict[str, Any]) -> study_on_ray.Cell:
+        folder = tmp_path / "study" / spec.name
+        return study_on_ray.Cell(spec, folder, config, "nerf fit", drive.describe(), fit, None, "cpu", ())
+
+    for fresh in (True, False):
+        engine: Any = (None, Share(1))
+        made = study_on_ray.run_study_on_ray(grid, cell_of, runner.settings, engine)
+        assert [outcome.spec.seed for outcome in made] == [0, 1, 2]
+        assert [outcome.report is not None for outcome in made] == [True, False, True]
+        assert made[0].fresh is fresh and made[1].error == "3 processes died with it"
 
 
 def test_what_a_process_does_needs_no_engine(fleet: list[Path], tmp_path: Path) -> None:
