@@ -117,8 +117,8 @@ def sort_by(depth: Depth, by: Sorts, frame: Frame) -> Depth:
     """
     if depth.within_5_percent is None:
         raise DataError(
-            f"frame {frame.id}: --keep-by {by}: the map does not tell its relative error (docs/filters.md): build it "
-            "again with this version, or leave --keep-by out"
+            f"frame {frame.id}: --keep-by {by}: the map does not tell its relative error: stereo, mono, fused and "
+            "mffnet do; build maps of an earlier version again, or leave --keep-by out"
         )
     if by == "relative":
         return replace(depth, confidence=depth.within_5_percent)
