@@ -45,7 +45,7 @@ def test_without_a_method_it_says_what_the_drive_has(run: Run) -> None:
 
 def test_a_mistyped_method_is_answered_with_those_there_are(run: Run) -> None:
     write_folder(Path("mine"), ("a",))
-    told = "--method sterio: choose one of auto, completion, lidar, mono, stereo: did you mean stereo?"
+    told = "--method sterio: choose one of auto, completion, fused, lidar, mono, stereo: did you mean stereo?"
     refused(run("mine", "--method", "sterio"), told)
 
 
