@@ -250,6 +250,8 @@ class Method(ABC):
 
     VERSION: ClassVar[int] = 1
     """Part of the cache's key: raised when the method's maps change, and only then. Rounding is no change."""
+    JOINS: ClassVar[bool] = False
+    """Whether it joins the maps of other methods: a bench measures those, and nothing chooses it unasked."""
 
     @property
     def name(self) -> str:

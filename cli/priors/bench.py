@@ -10,7 +10,7 @@ from cli.console import DATA_ERROR, busy, err, out, progress
 from cli.durations import duration, seconds
 from eval import typeset
 from eval.protocol import PRESETS, preset
-from priors import cache, methods
+from priors import cache
 from priors.bench import entrants, sweep, table
 from priors.bench.entrants import Entrant
 from priors.bench.judge import judge
@@ -80,7 +80,7 @@ class PriorsBenchArguments(ThreadArguments, SequenceArguments):
         expect_between(1, self.count, MOST_FRAMES, "--count")
         parse_range(self.frame_range(self.frames))
         seconds(self.at_most, "--at-most")
-        begins = (*methods.names(), *(name for name, _ in entrants.BASELINES))
+        begins = (*entrants.kinds(), *(name for name, _ in entrants.BASELINES))
         for name in self.only:
             known = bool(name) and any(name.startswith(each) or each.startswith(name) for each in begins)
             expect(known, "--only", name or "''", f"how a name begins: {', '.join(begins)}")

@@ -53,13 +53,18 @@ class Entrant:
         return key_of(parts | {"config": original(type(method), record(method))})
 
 
+def kinds() -> list[str]:
+    """List the methods that enter: those that join the maps of others take what those take, and are left out."""
+    return [name for name in methods.names() if not methods.config_type(name).JOINS]
+
+
 def field_size(runtimes: Sequence[str] | None = None) -> list[Entrant]:
     """List all entrants of ours: each method's usual settings, and each model, size and runtime that has weights.
 
     Args:
         runtimes: those to enter; None: every one that runs here.
     """
-    return [Entrant(_name(each), each) for kind in methods.names() for each in presets(kind, runtimes)]
+    return [Entrant(_name(each), each) for kind in kinds() for each in presets(kind, runtimes)]
 
 
 def baselines() -> list[Entrant]:

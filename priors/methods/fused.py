@@ -48,6 +48,7 @@ class Fused(Method):
 
     VERSION: ClassVar[int] = joining.VERSION + sum(kind.VERSION - 1 for kind in (Lidar, Completion, Stereo, Mono))
     """Raised with those of its parts: a sum, so that each makes a new one."""
+    JOINS: ClassVar[bool] = True
 
     def __post_init__(self) -> None:
         for name in self.parts or ():
