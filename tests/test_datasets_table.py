@@ -84,7 +84,7 @@ def nerfstudio(root: Path) -> list[str]:
 WRITERS: dict[str, Callable[[Path], list[str]]] = {
     "kitti_raw": raw,
     "kitti_odometry": odometry,
-    "kitti_stereo": lambda root: [str(write_2015(root))],
+    "kitti_stereo": lambda root: [str(write_2015(root, sweeps=True))],
     "kitti_360": lambda root: [str(write_360(root))],
     "kitti_depth": lambda root: [str(write_selection(root))],
     "kitti_object": lambda root: [str(write_object(root))],

@@ -43,7 +43,12 @@ def own_flags(tree: ast.Module) -> set[str]:
     targets = (node.target for node in ast.walk(tree) if isinstance(node, ast.AnnAssign))
     fields = {target.id for target in targets if isinstance(target, ast.Name)}
     arguments = {node.arg for node in ast.walk(tree) if isinstance(node, ast.arg)}
-    return {name.replace("_", "-") for name in fields | arguments}
+    names = {name.replace("_", "-") for name in fields | arguments}
+    for node in ast.walk(tree):  # the dataclass may be a neighbour's
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("priors.learn."):
+            path = ROOT / f"{(node.module or '').replace('.', '/')}.py"
+            names |= own_flags(ast.parse(path.read_text(encoding="utf-8")))
+    return names
 
 
 def docstrings(tree: ast.Module) -> Iterator[str]:

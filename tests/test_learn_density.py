@@ -7,6 +7,7 @@ import pytest
 from test_learn_completion import scene
 from test_mffnet import F
 
+from priors.learn.accumulated_lidar import INPUTS
 from priors.learn.lidar_dropout import Density, drop_points
 from priors.learn.lidar_scene import crop
 from priors.learn.scan_lines import ELEVATIONS_RAD, beam_of, met
@@ -41,19 +42,19 @@ def test_more_sweeps_of_a_street_are_denser_and_right(sweeps: int) -> None:
 
 def test_a_real_drives_sweeps_are_shown_without_the_truth() -> None:
     """The truth is pieces of the frame's own lines; the map that is shown has no value there."""
-    real = replace(scene(real=True), accumulated_m=tuple(scene().truth_m + number for number in (0, 1, 2)))
+    real = replace(scene(real=True), accumulated_m=tuple(scene().truth_m + sweeps for sweeps in INPUTS))
     shown = drop_points(real, np.random.default_rng(0), Density(sweeps=11))
     known = shown.weight > 0
     assert 100 < known.sum() < 0.5 * len(real.points_m) and not (known & (shown.sparse_m > 0)).any()
     np.testing.assert_allclose(shown.truth_m[known], scene().truth_m[known], rtol=1e-5)
-    np.testing.assert_array_equal(shown.sparse_m[~known], (scene().truth_m + 2)[~known])
+    np.testing.assert_array_equal(shown.sparse_m[~known], (scene().truth_m + 11)[~known])
 
 
 def test_what_is_drawn_covers_all_densities() -> None:
     part = crop(scene(), 150, 100, (96, 192))
     lone = replace(part, real=True)
     rng = np.random.default_rng(0)
-    for one in (part, replace(lone, accumulated_m=(part.truth_m,) * 3)):
+    for one in (part, replace(lone, accumulated_m=(part.truth_m,) * len(INPUTS))):
         counts = [int((drop_points(one, rng).sparse_m > 0).sum()) for _ in range(40)]
         assert min(counts) < len(one.points_m) / 4 and max(counts) > 2 * len(one.points_m)
     counts = [int((drop_points(lone, rng).sparse_m > 0).sum()) for _ in range(40)]
