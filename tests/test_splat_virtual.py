@@ -96,6 +96,12 @@ def test_holes_do_not_count(monkeypatch: pytest.MonkeyPatch) -> None:
     assert counts is not None and (counts[:4] == 0).all() and counts[4:].mean() > 0.9
 
 
+@pytest.fixture(autouse=True)
+def every_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Ways of any length have views: the corridor is short."""
+    monkeypatch.setattr(virtual, "LONG", 0.0)
+
+
 @pytest.fixture
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """Virtual views come from the first step on."""
@@ -172,3 +178,19 @@ def test_frames_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
     assert sorted(shot.position for shot in first if shot.position is not None) == sorted(2 * scene.train)
     assert [shot.position is None for shot in later] == 3 * [False, True]
     assert {shot.share for shot in first} == {1.0} and {shot.share for shot in later[::2]} == {0.5}
+
+
+def test_short_ways_have_no_views(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The corridor's frames are 0.5 m apart; its usual depth is about 8 m."""
+    scene = corridor("4")
+    depth_m = virtual.usual_depth_m(scene)
+    lengths = [virtual.length_m(way, scene) for way in ways(scene.train, scene)]
+    monkeypatch.setattr(virtual, "LONG", (max(lengths) + min(lengths)) / 2 / depth_m)
+    some = VirtualViews(scene, CPU)
+    assert 0 < some.share < 1 and len(some.places) == (PARTS - 1) * round(some.share * len(lengths))
+    monkeypatch.setattr(virtual, "LONG", 2 * max(lengths) / depth_m)
+    monkeypatch.setattr(model_of_splats, "LAPS", 0)
+    assert VirtualViews(scene, CPU).places == []
+    model, settings = fields.family("splat").start(scene, config(4), "cpu"), config(4)
+    assert isinstance(model, SplatModel)
+    assert [model._shot(scene, settings, step).share for step in range(4)] == 4 * [1.0]

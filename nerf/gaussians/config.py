@@ -25,8 +25,8 @@ class GaussianConfig:
     densify: bool = True
     """Split Gaussians where the image asks for more of them, and delete those that show nothing."""
     virtual_views: float = 0.5
-    """Share of the steps that learn from a view between two training frames, as the warp shows it, once each frame was
-    drawn eight times; 0: none."""
+    """Share of the steps that learn from a view between two distant training frames, as the warp shows it, once each
+    frame was drawn eight times; 0: none."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {"virtual_views": 0.0}
 

@@ -116,16 +116,18 @@ class SplatModel:
         share = self._virtual_share(scene, step)
         later = step - LAPS * len(scene.train)
         between = int(later * share)
-        if is_virtual(later, share):
-            self._virtual = self._virtual or VirtualViews(scene, self.device)
+        if self._virtual is not None and is_virtual(later, share):
             return self._virtual.shot(config.seed, between)
         shot = shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
         return replace(shot, share=1 - share)
 
     def _virtual_share(self, scene: Scene, step: int) -> float:
         """Return which share of the steps learns from virtual views now; without a prior none does."""
-        later = step >= LAPS * len(scene.train)
-        return self.settings.virtual_views if later and scene.depth_m is not None and len(scene.train) > 1 else 0.0
+        wanted = self.settings.virtual_views
+        if not wanted or step < LAPS * len(scene.train) or scene.depth_m is None or len(scene.train) < 2:
+            return 0.0
+        self._virtual = self._virtual or VirtualViews(scene, self.device)
+        return wanted * self._virtual.share
 
     def _learn(self, shot: Shot, seen: Rasterised, config: FitConfig, at: tuple[int, float]) -> StepResult:
         """Go back from what is seen of a frame, and move the parameters."""

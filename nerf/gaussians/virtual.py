@@ -26,6 +26,10 @@ PARTS = 4
 """Views are drawn at the places that divide the way between two frames into so many parts."""
 NEIGHBOURS = 2
 """A frame has ways to so many training frames at most: on a path, to the one before it and to the one behind it."""
+LONG = 0.2
+"""A way that is shorter than so much of the scene's usual depth has no views: its ends show all that is between."""
+LOOKED = 8
+"""Frames whose prior says what that depth is."""
 KEPT_BYTES = 128 << 20
 """Pictures of so many bytes are kept: each is drawn once where all of them fit."""
 Picture = tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]
@@ -43,7 +47,12 @@ class VirtualViews:
     def __init__(self, scene: Scene, device: torch.device) -> None:
         """Find the ways between neighbours; DataError where the prior has no value."""
         self._scene, self._device, self._warp = scene, device, Warp(scene)
-        self.places = [(*way, part) for way in ways(self._warp.frames.positions, scene) for part in range(1, PARTS)]
+        every = ways(self._warp.frames.positions, scene)
+        least_m = LONG * usual_depth_m(scene)
+        far = [way for way in every if length_m(way, scene) >= least_m]
+        self.share = len(far) / max(1, len(every))
+        """Of all ways, those that have views."""
+        self.places = [(*way, part) for way in far for part in range(1, PARTS)]
         """Two training frames each, and after how many parts of the way between them."""
         self._kept: OrderedDict[int, Picture] = OrderedDict()
 
@@ -89,6 +98,20 @@ def ways(positions: list[int], scene: Scene) -> list[tuple[int, int]]:
             if not between.any():
                 found.add((min(first, int(second)), max(first, int(second))))
     return sorted((positions[first], positions[second]) for first, second in found)
+
+
+def length_m(way: tuple[int, int], scene: Scene) -> float:
+    """Return how unlike two frames' views are, metres."""
+    first, second = (scene.T_world_cam[position] for position in way)
+    return float(unlike_m(first[None], second)[0])
+
+
+def usual_depth_m(scene: Scene) -> float:
+    """Return the median depth that the prior has in some of the training frames, metres; 0 where it has none."""
+    assert scene.depth_m is not None
+    some = [np.asarray(scene.depth_m[position]) for position in scene.train[:: -(-len(scene.train) // LOOKED)]]
+    known = [depth_m[depth_m > 0] for depth_m in some if (depth_m > 0).any()]
+    return float(np.median(np.concatenate(known))) if known else 0.0
 
 
 def pose_between(first: Matrix, second: Matrix, share: float) -> Matrix:
