@@ -187,6 +187,8 @@ STRANGE = {
     "no rotation": one(rotations=torch.zeros(1, 4)),
     "a tiny rotation": one(rotations=torch.full((1, 4), 1e-12)),
     "a huge rotation": one(rotations=torch.full((1, 4), 1e15)),
+    "a rotation whose square is infinite": one(rotations=torch.tensor([[1e30, 2e29, -1e29, 3e29]])),
+    "a size whose square is infinite": one(log_scales=torch.full((1, 3), math.log(1e30))),
     "far away": one(means_m=torch.tensor([[0.0, 0.0, 1e6]]), log_scales=sizes(6e4)),
     "nothing at all": one().rows(torch.zeros(0, dtype=torch.int64)),
 }
@@ -200,6 +202,15 @@ def test_strange_gaussians_are_finite_and_equal_the_twin(name: str, drawing: Dra
     theirs = plain.rasterise(doubled(gaussians), seen_from, drawing)
     same_picture(ours, theirs, 1e-4)
     same_gradients(cpu.backward(ours, given), plain.backward(theirs, doubled_gradients(given)), 1e-3, 1.0)
+
+
+def test_a_colour_that_is_no_number_is_seen() -> None:
+    """And not drawn as black: a fit must find it."""
+    gaussians = one()
+    gaussians.harmonics[0, 0, 1] = torch.nan
+    shown = cpu.rasterise(gaussians, viewpoint(turned=False), SMOOTH)
+    middle = shown.rgb[shown.opacity == shown.opacity.max()]
+    assert bool(torch.isnan(middle[:, 1]).all()) and bool(torch.isfinite(shown.rgb[..., [0, 2]]).all())
 
 
 def test_what_is_not_in_view_is_not_listed() -> None:

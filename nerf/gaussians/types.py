@@ -20,6 +20,8 @@ SIDE_REACH = 1.3
 derivative says little of the perspective."""
 MOST_SPREAD_PX = 1e6
 """A Gaussian that would be wider than this is drawn as a smaller one: its standard deviation in the image, pixels."""
+MOST_M = 1e12
+"""A Gaussian is drawn as if its standard deviation were at most so many metres: float32 holds the squares."""
 LEAST_TURN = 1e-20
 """A quaternion of a smaller squared length is no rotation: it turns nothing, and has no gradient."""
 SIZES = (1, 4, 9, 16)

@@ -1,6 +1,6 @@
 """All rows of `nerf stress`."""
 
-from nerf.stress import contraction, field, losses, rendering, sampling
+from nerf.stress import contraction, field, gaussians, losses, rendering, sampling
 from priors.stress.routine import Routine
 
 ROUTINES: tuple[Routine, ...] = (
@@ -8,5 +8,6 @@ ROUTINES: tuple[Routine, ...] = (
     *field.ROUTINES,
     *rendering.ROUTINES,
     *losses.ROUTINES,
+    *gaussians.ROUTINES,
     *sampling.ROUTINES,
 )

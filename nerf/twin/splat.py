@@ -12,6 +12,7 @@ from torch.nn.functional import pad
 from nerf.gaussians.types import (
     LEAST_TURN,
     MOST_ALPHA,
+    MOST_M,
     MOST_SPREAD_PX,
     SIDE_REACH,
     SIZES,
@@ -60,9 +61,11 @@ class Blended(NamedTuple):
 
 def turned(quaternions: Tensor) -> Tensor:
     """Return rotation matrices (n, 3, 3) of quaternions w x y z (n, 4) of any length; 0 turns nothing."""
-    squared = (quaternions * quaternions).sum(1)
-    usable = squared > LEAST_TURN
-    w, x, y, z = (quaternions * torch.where(usable, torch.where(usable, squared, 1.0).rsqrt(), 0.0)[:, None]).unbind(1)
+    longest = quaternions.detach().abs().amax(1).clamp(min=LEAST_TURN)
+    short = quaternions / longest[:, None]  # float32 holds no square of 1e20
+    squared = (short * short).sum(1)
+    usable = squared * longest * longest > LEAST_TURN
+    w, x, y, z = (short * torch.where(usable, torch.where(usable, squared, 1.0).rsqrt(), 0.0)[:, None]).unbind(1)
     first = torch.stack([1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)], 1)
     second = torch.stack([2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)], 1)
     third = torch.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], 1)
@@ -104,7 +107,7 @@ def project(gaussians: Gaussians, viewpoint: Viewpoint, drawing: Drawing, twist:
     p = gaussians.means_m @ R.T + t
     ahead = p[:, 2] >= drawing.near_m
     p = torch.where(ahead[:, None], p, torch.ones_like(p))
-    axes = R @ turned(gaussians.rotations) * gaussians.log_scales.exp()[:, None, :]
+    axes = R @ turned(gaussians.rotations) * gaussians.log_scales.exp().clamp(max=MOST_M)[:, None, :]
     first, second = affine(p, axes, camera)
     low = drawing.low_pass_px2
     a, b, c = (first * first).sum(1), (first * second).sum(1), (second * second).sum(1)

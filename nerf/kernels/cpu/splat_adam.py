@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from nerf.kernels.cpu.lanes import floats, fma, root
+from nerf.kernels.cpu.lanes import floats, fma, larger, root, smaller
 from nerf.kernels.cpu.splat_lanes import load_some, store_some
+from nerf.types import STEEPEST
 from priors.machine.compiled import compiled
 
 Numbers = npt.NDArray[np.float32]
@@ -48,7 +49,7 @@ def adam(
     last: int,
 ) -> None:  # fmt: skip
     """Move the rows index[first] to index[last - 1]; the rate is times the row's unit (n,), where that is not empty."""
-    one = np.float32(1)
+    one, steepest = np.float32(1), np.float32(STEEPEST)
     for k in range(first, last):
         i = index[k]
         pace = rate * settings.scale_mean * (unit[i] if len(unit) else one)
@@ -56,6 +57,7 @@ def adam(
             count = min(16, columns.last - column)
             at = np.int64(columns.stored) * i + column
             g = load_some(columns.gradient, np.int64(columns.given) * k + column, np.int64(count))
+            g = larger(floats(-steepest), smaller(floats(steepest), g))  # in this order NaN stays NaN
             m, s = load_some(columns.mean, at, np.int64(count)), load_some(columns.square, at, np.int64(count))
             m = fma(floats(one - settings.beta_mean), g - m, m)
             s = fma(floats(settings.beta_square), s, floats(one - settings.beta_square) * (g * g))

@@ -102,7 +102,7 @@ def shade(harmonics, stored, used, i, unit, words):  # type: ignore[no-untyped-d
         red = fma(y, pick(harmonics, 3 * stored, 3 * k, i), red)
         green = fma(y, pick(harmonics, 3 * stored, 3 * k + 1, i), green)
         blue = fma(y, pick(harmonics, 3 * stored, 3 * k + 2, i), blue)
-    return larger(red, zero()), larger(green, zero()), larger(blue, zero())
+    return larger(zero(), red), larger(zero(), green), larger(zero(), blue)  # in this order NaN stays NaN
 
 
 @compiled

@@ -3,14 +3,17 @@
 Equals nerf/twin/splat.py, `project`. Vectors and matrices are tuples of lanes, row by row.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from nerf.gaussians.types import LEAST_TURN, MOST_SPREAD_PX
+from nerf.gaussians.types import LEAST_TURN, MOST_M, MOST_SPREAD_PX
 from nerf.kernels.cpu.lanes import exponential, floats, fma, from_bits, gather, ints, larger, root, smaller
 from nerf.kernels.cpu.splat_lanes import kept, picked
 from priors.machine.compiled import compiled
+
+LOG_MOST_M = math.log(MOST_M)
 
 
 class Lens(NamedTuple):
@@ -102,10 +105,18 @@ def place(means_m, lens, i):  # type: ignore[no-untyped-def]
 def quaternion(rotations, i):  # type: ignore[no-untyped-def]
     """Return unit quaternions (w, x, y, z) and what they were divided by, inverted: 0 for those that are none."""
     w, x, y, z = pick(rotations, 4, 0, i), pick(rotations, 4, 1, i), pick(rotations, 4, 2, i), pick(rotations, 4, 3, i)
+    one, tiny = floats(np.float32(1)), floats(np.float32(LEAST_TURN))
+    longest = larger(tiny, larger(larger(_size(w), _size(x)), larger(_size(y), _size(z))))
+    shorter = one / longest  # float32 holds no square of 1e20
+    w, x, y, z = w * shorter, x * shorter, y * shorter, z * shorter
     squared = fma(w, w, fma(x, x, fma(y, y, z * z)))
-    least = floats(np.float32(LEAST_TURN))
-    inverse = kept(squared, least, floats(np.float32(1)) / root(picked(squared, least, squared, least)))
-    return (w * inverse, x * inverse, y * inverse, z * inverse), inverse
+    usable = kept(squared * longest * longest, tiny, one / root(picked(squared, tiny, squared, tiny)))
+    return (w * usable, x * usable, y * usable, z * usable), shorter * usable
+
+
+@compiled
+def _size(x):  # type: ignore[no-untyped-def]
+    return larger(x, floats(np.float32(0)) - x)
 
 
 @compiled
@@ -126,12 +137,18 @@ def turned(lens, q):  # type: ignore[no-untyped-def]
 
 @compiled
 def scales(log_scales, i):  # type: ignore[no-untyped-def]
-    """Return the standard deviations along the axes, metres."""
-    return (
-        exponential(pick(log_scales, 3, 0, i)),
-        exponential(pick(log_scales, 3, 1, i)),
-        exponential(pick(log_scales, 3, 2, i)),
-    )
+    """Return the standard deviations along the axes, metres, held to MOST_M; NaN stays NaN."""
+    most = floats(np.float32(LOG_MOST_M))
+    a, b, c = pick(log_scales, 3, 0, i), pick(log_scales, 3, 1, i), pick(log_scales, 3, 2, i)
+    return exponential(smaller(most, a)), exponential(smaller(most, b)), exponential(smaller(most, c))
+
+
+@compiled
+def unheld(log_scales, i, d):  # type: ignore[no-untyped-def]
+    """Return the derivatives by the logarithms of the deviations: 0 where one is held to MOST_M."""
+    most = floats(np.float32(LOG_MOST_M))
+    a, b, c = pick(log_scales, 3, 0, i), pick(log_scales, 3, 1, i), pick(log_scales, 3, 2, i)
+    return kept(most, a, d[0]), kept(most, b, d[1]), kept(most, c, d[2])
 
 
 @compiled

@@ -31,6 +31,7 @@ from nerf.kernels.cpu.splat_shape import (
     slopes,
     times,
     turned,
+    unheld,
 )
 from nerf.kernels.cpu.splat_unblend import D_DEPTH, D_RED, GX, GXX, GXY, GY, GYY, G
 from priors.machine.compiled import compiled
@@ -133,7 +134,8 @@ def _sixteen(scene, lens, words, which):  # type: ignore[no-untyped-def]
     d_p = d_tx, d_ty, d_z
     right, down, ahead = constants(lens.right), constants(lens.down), constants(lens.ahead)
     _store_three(words, MEAN, plus(times(right, d_tx), plus(times(down, d_ty), times(ahead, d_z))))
-    _store_three(words, SCALE, (_along(axes, d_axes, 0), _along(axes, d_axes, 1), _along(axes, d_axes, 2)))
+    d_scales = _along(axes, d_axes, 0), _along(axes, d_axes, 1), _along(axes, d_axes, 2)
+    _store_three(words, SCALE, unheld(scene.log_scales, i, d_scales))
     d_q = _turn(q, _columns(right, down, ahead, scaled(d_axes, s)))
     along = fma(q[0], d_q[0], fma(q[1], d_q[1], fma(q[2], d_q[2], q[3] * d_q[3])))
     store(words, np.int64(OUT + 16 * TURN), inverse * (d_q[0] - q[0] * along))
