@@ -180,7 +180,7 @@ def fit_command(run: Run) -> str:
     words += ["--views", config.views, *(["--frames", config.frames] if config.frames else [])]
     fit = config.fit
     words += ["--steps", str(fit.steps)] if fit.steps is not None else ["--time", f"{fit.seconds:g}s"]
-    words += ["--field", fit.model.family] if fit.model.family != FitConfig().model.family else []
+    words += ["--field", fit.model.family]
     words += ["--seed", str(fit.seed)] if fit.seed else []
     settings = _unusual(asdict(config.filters), asdict(Filters())) | _unusual_fit(fit)
     named = {name.rpartition(".")[2]: value for name, value in settings.items() if not name.startswith(NO_FLAG)}

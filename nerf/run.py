@@ -19,6 +19,7 @@ from typing import Any
 from eval.lpips import Lpips
 from nerf import blocks, cameras, checkpoint, fields, journal
 from nerf.asked import CONFIG, RunConfig, comparable, read, write
+from nerf.choice import Choice, by_scene, by_settings
 from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
 from nerf.evidence.lidar import sweeps_of
@@ -29,6 +30,7 @@ from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
 from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
+from nerf.quality import BEST
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
 from nerf.truths import Truths
@@ -88,10 +90,7 @@ class Run:
             home = self.folder.parent / SCENES
             before = checkpoint.origin_of(self.folder)
             scene = open_scene(self.drive, prior, self.config.scene, home, self.progress, before)
-        if self.config.fit.align == "none":
-            return Checked(scene, None)
-        needed = not fields.is_trained(self.config.fit.model.family)
-        return check(scene, needed, sweeps_of(self.drive, scene.ids))
+        return checked_as_asked(self.drive, scene, self.config.fit)
 
     def fit(self, device: str = "auto", on_step: OnStep = lambda status: None) -> Model:
         """Train until the budget is spent, or go on where the run was left; see nerf.fit.fit.
@@ -188,6 +187,45 @@ class Run:
         path = self.folder / "metrics.json"
         before = Report.load(path).info if path.exists() else {}
         return before if "command" in before else {"name": self.name, "config": asdict(self.config)}
+
+
+def checked_as_asked(drive: Drive, scene: Scene, config: FitConfig) -> Checked:
+    """Check a scene's prior unless the config says `--align none`."""
+    if config.align == "none":
+        return Checked(scene, None)
+    needed = not fields.is_trained(config.model.family)
+    return check(scene, needed, sweeps_of(drive, scene.ids))
+
+
+def choose(
+    drive: Drive,
+    prior: Guide | None,
+    scene: SceneConfig,
+    fit: FitConfig,
+    runs: Path = RUNS,
+    progress: ProgressBar = silent,
+    device: str = "auto",
+) -> Choice:
+    """Choose the family for a fit; what is prepared and found of the scene for that is kept beside the runs.
+
+    Args:
+        drive: its frames are learned.
+        prior: its depth guides the fit; None: colours alone.
+        scene: which frames, and what the prior passes.
+        fit: everything else that was asked for; its family does not matter.
+        runs: the folder that the run's folder will be in.
+        progress: shows what is prepared.
+        device: cpu, cuda, or auto: a GPU where there is one.
+
+    Raises:
+        DataError: see nerf.prepare.open_scene.
+    """
+    decided = by_settings(fit, pick_device(device))
+    if decided is not None or prior is None:
+        return decided or Choice(BEST, "there is no prior")
+    with threads.limited(None):
+        opened = open_scene(drive, prior, scene, runs / SCENES, progress)
+    return by_scene(checked_as_asked(drive, opened, replace(fit, model=replace(fit.model, family=BEST))))
 
 
 def begin(

@@ -15,13 +15,15 @@ from cli.nerf.together import together
 from nerf import checkpoint, fields
 from nerf.asked import RunConfig
 from nerf.checkpoint import Spent
+from nerf.choice import AUTO
 from nerf.config import Align, FitConfig, ModelConfig
 from nerf.gaussians.config import GaussianConfig
+from nerf.guide import Guide
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig
-from nerf.quality import AUTO, SECONDS, Quality, family_of
+from nerf.quality import BEST, SECONDS, Quality
 from nerf.rate import Rate
-from nerf.run import RUNS, Run, begin
+from nerf.run import RUNS, Run, begin, choose, open_run
 from nerf.sample import SamplerConfig
 from nerf.scene import Scene
 from nerf.split import SPARSE_STEP
@@ -90,7 +92,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
     field: FieldName | Literal["auto"] = AUTO
-    """Family of fields; auto: the one that measured best, mip360."""
+    """Family of fields; auto: Gaussians (splat) where a dense prior shows the surfaces, else mip360."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -100,16 +102,12 @@ class FitArguments(ThreadArguments, SequenceArguments):
         """Return which frames are used, and what of the prior."""
         return SceneConfig(self.views, self.frame_range(self.frames), self.filters)
 
-    @property
-    def family(self) -> str:
-        """The family that is trained."""
-        return family_of(self.field)
-
-    def config(self) -> FitConfig:
-        """Return what decides the fit's outcome."""
+    def config(self, family: str | None = None) -> FitConfig:
+        """Return what decides the fit's outcome; `family`: what stands for auto."""
         asked = SECONDS[self.quality] if self.time is None else seconds(self.time)
         timed = None if self.steps is not None else asked
-        model = ModelConfig(self.family, width=self.width, sampler=self.sampler, gaussians=self.gaussians)
+        named = BEST if self.field == AUTO else self.field
+        model = ModelConfig(family or named, width=self.width, sampler=self.sampler, gaussians=self.gaussians)
         made = FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
         return replace(made, align=self.align, blocks_m=self.blocks)
 
@@ -125,13 +123,16 @@ def run(arguments: list[str]) -> int:
 
 
 def _fit(args: FitArguments, typed: list[str]) -> int:
-    if args.prior is None and not fields.is_trained(args.family):
+    if args.prior is None and args.field != AUTO and not fields.is_trained(args.field):
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
-    for setting, value in fields.unread(args.config()).items():
-        raise UsageError(f"{f'{setting} {value}'.strip()}: --field {args.family} does not read it: leave it out")
+    if args.field != AUTO:
+        _refuse_unread(args.config())
     with busy("looking at the drive and its priors"):
         drive, prior = open_sources(args, args.prior, typed)
-    scene, config, folder = args.scene(), args.config(), args.run
+    scene, folder = args.scene(), args.run
+    with leader_first():
+        config = args.config(_family(args, drive, prior) if args.field == AUTO else None)
+    _refuse_unread(config, " is what --field auto took here: it" if args.field == AUTO else "")
     if folder is None and args.sequence is not None:  # sequences of one drive are told apart
         folder = RUNS / f"{args.sequence}-{RunConfig.of(drive, prior, scene, config).title}"
     with leader_first():  # it makes the folder and the scene's arrays, which the others find
@@ -139,6 +140,23 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
         _ = this_run.scene
     with this_run.held():
         return _fit_and_score(args, this_run)
+
+
+def _refuse_unread(config: FitConfig, how: str = "") -> None:
+    """Refuse flags that the family does not read; `how`: more words about the family."""
+    for setting, value in fields.unread(config).items():
+        flag = f"{setting} {value}".strip()
+        raise UsageError(f"{flag}: --field {config.model.family}{how} does not read it: leave it out")
+
+
+def _family(args: FitArguments, drive: Drive, prior: Guide | None) -> str:
+    """Choose the family, and say why; a run that has begun keeps its own."""
+    if args.run is not None and checkpoint.has_begun(args.run):
+        return open_run(args.run).config.fit.model.family
+    runs = RUNS if args.run is None else args.run.parent
+    chosen = choose(drive, prior, args.scene(), args.config(), runs, progress, args.device)
+    err.print(f"--field auto: {chosen.family}: {chosen.why}")
+    return chosen.family
 
 
 def _fit_and_score(args: FitArguments, this_run: Run) -> int:
@@ -151,7 +169,7 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
         err.print(line)
     with fit_progress("training") as on_step:
         this_run.fit(args.device, on_step)
-    if fields.is_trained(args.family) and before.step == checkpoint.spent(this_run.folder).step:
+    if fields.is_trained(this_run.config.fit.model.family) and before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
     if not here().leads:
         return 0

@@ -68,7 +68,7 @@ def drawn(varied: str) -> Callable[[Given], Case]:
 
         def gradients() -> Outputs:
             seen = kernels.rasterise(ours, seen_from, DRAWING)
-            back = kernels.backward(seen, ViewGradients(*(tensor(pulls[name]) for name in RESULTS)))
+            back = kernels.backward(seen, _pulled(pulls, tensor))
             return _whole(back, at)
 
         def loss(moved: Mapping[str, Floats]) -> Floats:
@@ -82,6 +82,10 @@ def drawn(varied: str) -> Callable[[Given], Case]:
         return Case(found, lambda: made.values, scale, gradient, spreads=True)
 
     return case
+
+
+def _pulled(pulls: Mapping[str, Floats], make: Callable[[Floats], Tensor]) -> ViewGradients:
+    return ViewGradients(make(pulls["rgb"]), make(pulls["depth_sum"]), make(pulls["opacity"]))
 
 
 def _viewpoint(given: Given) -> Viewpoint:
@@ -150,7 +154,7 @@ def _slopes(at: Mapping[str, Floats], seen_from: Viewpoint, pulls: Mapping[str, 
     """
     splat = plain_kernels().splat
     seen = splat.rasterise(Gaussians(*(wide(at[name]) for name in NAMES)), seen_from, DRAWING)
-    back = splat.backward(seen, ViewGradients(*(wide(pulls[name]) for name in RESULTS))).of
+    back = splat.backward(seen, _pulled(pulls, wide)).of
     both = torch.cat([back.log_scales.flatten(), back.rotations.flatten()]).abs()
     largest = float(torch.where(torch.isfinite(both), both, 0.0).amax()) if len(both) else 0.0
     return {"rotations": largest} if largest > 0 else {}
