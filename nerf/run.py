@@ -19,7 +19,7 @@ from typing import Any
 from eval.lpips import Lpips
 from nerf import blocks, cameras, checkpoint, fields, journal
 from nerf.asked import CONFIG, RunConfig, comparable, read, write
-from nerf.choice import Choice, by_scene, by_settings
+from nerf.choice import Choice, by_scene
 from nerf.config import FitConfig
 from nerf.evidence.check import Checked, check
 from nerf.evidence.lidar import sweeps_of
@@ -204,9 +204,8 @@ def choose(
     fit: FitConfig,
     runs: Path = RUNS,
     progress: ProgressBar = silent,
-    device: str = "auto",
 ) -> Choice:
-    """Choose the family for a fit; what is prepared and found of the scene for that is kept beside the runs.
+    """Choose the family by what a drive and a prior show; what is prepared and found for that is kept beside the runs.
 
     Args:
         drive: its frames are learned.
@@ -215,14 +214,12 @@ def choose(
         fit: everything else that was asked for; its family does not matter.
         runs: the folder that the run's folder will be in.
         progress: shows what is prepared.
-        device: cpu, cuda, or auto: a GPU where there is one.
 
     Raises:
         DataError: see nerf.prepare.open_scene.
     """
-    decided = by_settings(fit, pick_device(device))
-    if decided is not None or prior is None:
-        return decided or Choice(BEST, "there is no prior")
+    if prior is None:
+        return Choice(BEST, "there is no prior")
     with threads.limited(None):
         opened = open_scene(drive, prior, scene, runs / SCENES, progress)
     return by_scene(checked_as_asked(drive, opened, replace(fit, model=replace(fit.model, family=BEST))))

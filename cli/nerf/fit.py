@@ -15,7 +15,7 @@ from cli.nerf.together import together
 from nerf import checkpoint, fields
 from nerf.asked import RunConfig
 from nerf.checkpoint import Spent
-from nerf.choice import AUTO
+from nerf.choice import AUTO, by_settings
 from nerf.config import Align, FitConfig, ModelConfig
 from nerf.gaussians.config import GaussianConfig
 from nerf.guide import Guide
@@ -31,6 +31,7 @@ from nerf.world import here, leader_first
 from priors import origin
 from priors.errors import UsageError
 from priors.filters import Filters
+from priors.machine.device import pick_device
 from priors.selection import select
 from priors.types import Drive
 
@@ -154,7 +155,8 @@ def _family(args: FitArguments, drive: Drive, prior: Guide | None) -> str:
     if args.run is not None and checkpoint.has_begun(args.run):
         return open_run(args.run).config.fit.model.family
     runs = RUNS if args.run is None else args.run.parent
-    chosen = choose(drive, prior, args.scene(), args.config(), runs, progress, args.device)
+    scene, config = args.scene(), args.config()
+    chosen = by_settings(config, pick_device(args.device)) or choose(drive, prior, scene, config, runs, progress)
     err.print(f"--field auto: {chosen.family}: {chosen.why}")
     return chosen.family
 
