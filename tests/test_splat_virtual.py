@@ -14,10 +14,12 @@ from test_nerf_fit import corridor
 from test_splat_fit import config, psnr
 
 from nerf import checkpoint, fields
+from nerf.config import FitConfig
 from nerf.fit import fit
 from nerf.gaussians import model as model_of_splats
 from nerf.gaussians import virtual
 from nerf.gaussians.model import SplatModel
+from nerf.gaussians.shot import Shot
 from nerf.gaussians.virtual import PARTS, VirtualViews, is_virtual, pose_between, ways
 from nerf.scene import Scene
 from priors.errors import DataError, UsageError
@@ -117,6 +119,10 @@ def trained(scene: Scene, share: float, steps: int = 60) -> SplatModel:
     return model
 
 
+def shot_at(model: SplatModel, scene: Scene, settings: FitConfig, step: int, progress: float = 0.0) -> Shot:
+    return model._shot(scene, settings, step, model._virtual_share(scene, step, progress))
+
+
 @pytest.mark.usefixtures("at_once")
 def test_held_out_views_gain_by_them() -> None:
     scene = corridor("1/8")
@@ -173,11 +179,22 @@ def test_frames_come_first(monkeypatch: pytest.MonkeyPatch) -> None:
     scene, settings = corridor("4"), config(20, virtual_views=0.5)
     model = fields.family("splat").start(scene, settings, "cpu")
     assert isinstance(model, SplatModel)
-    shots = [model._shot(scene, settings, step) for step in range(2 * len(scene.train) + 6)]
+    shots = [shot_at(model, scene, settings, step) for step in range(2 * len(scene.train) + 6)]
     first, later = shots[: 2 * len(scene.train)], shots[2 * len(scene.train) :]
     assert sorted(shot.position for shot in first if shot.position is not None) == sorted(2 * scene.train)
     assert [shot.position is None for shot in later] == 3 * [False, True]
     assert {shot.share for shot in first} == {1.0} and {shot.share for shot in later[::2]} == {0.5}
+
+
+@pytest.mark.usefixtures("at_once")
+def test_frames_come_last() -> None:
+    """What the warp shows is softer than they are."""
+    scene, settings = corridor("4"), config(20, virtual_views=0.5)
+    model = fields.family("splat").start(scene, settings, "cpu")
+    assert isinstance(model, SplatModel)
+    late = [shot_at(model, scene, settings, step, model_of_splats.ENDING) for step in range(4)]
+    assert all(shot.position is not None and shot.share == 1 for shot in late)
+    assert shot_at(model, scene, settings, 1, model_of_splats.ENDING - 0.01).position is None
 
 
 def test_short_ways_have_no_views(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -193,4 +210,4 @@ def test_short_ways_have_no_views(monkeypatch: pytest.MonkeyPatch) -> None:
     assert VirtualViews(scene, CPU).places == []
     model, settings = fields.family("splat").start(scene, config(4), "cpu"), config(4)
     assert isinstance(model, SplatModel)
-    assert [model._shot(scene, settings, step).share for step in range(4)] == 4 * [1.0]
+    assert [shot_at(model, scene, settings, step).share for step in range(4)] == 4 * [1.0]

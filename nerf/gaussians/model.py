@@ -39,6 +39,8 @@ LEAST_SIDE_PX = 11
 """Window of SSIM: smaller images are trained by L1 alone."""
 LAPS = 8
 """Each training frame is learned from so many times before virtual views are: what they gain comes later."""
+ENDING = 0.8
+"""From this share of the budget on only training frames are learned from: what the warp shows is softer than they."""
 Y0 = 0.28209479177387814
 """The spherical harmonic of degree 0."""
 
@@ -101,19 +103,19 @@ class SplatModel:
 
     def train(self, scene: Scene, config: FitConfig, step: int, progress: float) -> StepResult:
         """Do a step of training on one whole view; see nerf.model.Model."""
-        shot = self._shot(scene, config, step)
+        virtual = self._virtual_share(scene, step, progress)
+        shot = self._shot(scene, config, step, virtual)
         seen = self._splat.rasterise(self.gaussians, shot.viewpoint, self._drawing(progress))
         result = self._learn(shot, seen, config, (step, progress))
-        lap = math.ceil(len(scene.train) / (1 - self._virtual_share(scene, step)))
+        lap = math.ceil(len(scene.train) / (1 - virtual))
         if self.settings.densify and growth.is_due(step, lap, progress):
             made = growth.grown(self.gaussians, self.moments, self.growth, self.settings.most_gaussians)
             self.gaussians, self.moments = made
             self.growth = Growth.of(len(self.gaussians), self.device)
         return result
 
-    def _shot(self, scene: Scene, config: FitConfig, step: int) -> Shot:
-        """Return what a step learns from: one of the training frames or, where there is a prior, a view between two."""
-        share = self._virtual_share(scene, step)
+    def _shot(self, scene: Scene, config: FitConfig, step: int, share: float) -> Shot:
+        """Return what a step learns from: a training frame or, in a share of the steps, a view between two."""
         later = step - LAPS * len(scene.train)
         between = int(later * share)
         if self._virtual is not None and is_virtual(later, share):
@@ -121,10 +123,16 @@ class SplatModel:
         shot = shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
         return replace(shot, share=1 - share)
 
-    def _virtual_share(self, scene: Scene, step: int) -> float:
+    def _virtual_share(self, scene: Scene, step: int, progress: float) -> float:
         """Return which share of the steps learns from virtual views now; without a prior none does."""
         wanted = self.settings.virtual_views
-        if not wanted or step < LAPS * len(scene.train) or scene.depth_m is None or len(scene.train) < 2:
+        if (
+            not wanted
+            or step < LAPS * len(scene.train)
+            or progress >= ENDING
+            or scene.depth_m is None
+            or len(scene.train) < 2
+        ):
             return 0.0
         self._virtual = self._virtual or VirtualViews(scene, self.device)
         return wanted * self._virtual.share

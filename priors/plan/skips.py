@@ -126,7 +126,7 @@ def _of_images(drive: Drive, indices: Sequence[int]) -> list[Skip]:
         share, most_px, usual_px = (float(value) for value in np.mean(disparities, axis=0))
         if share > 0:
             saves = f"{share:.0%} of {usual_px:.0f} disparities"
-            why = f"no surface is nearer than {most_px:.0f} px: stereo finds that out from a quarter of the size"
+            why = f"no surface has more than {most_px:.0f} px, as a match at a quarter of the size shows"
             found.append(Skip("disparities that no surface reaches", saves, why, share))
     return found
 
