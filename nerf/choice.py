@@ -19,6 +19,9 @@ AUTO = "auto"
 """Stands for the family that is chosen."""
 DENSE = 0.75
 """Share of the pixels below the sky that must have a depth for Gaussians to start from: LiDAR alone has 0.1 to 0.55."""
+WRONG = 0.18
+"""Share of the patches that other images show at another depth up to which Gaussians start right: stereo and completion
+have 0.1, mono 0.25 to 0.3."""
 LOOKED_AT = 8
 """Training frames whose maps are looked at, at most; evenly spread."""
 
@@ -60,6 +63,8 @@ def by_scene(checked: Checked) -> Choice:
     if scene.depth_m is None:
         return Choice(BEST, "there is no prior")
     share = covered(scene)
+    if finding is not None and finding.wrong > WRONG:
+        return Choice(BEST, f"other images show {100 * finding.wrong:.0f} % of the prior's patches at another depth")
     if share < DENSE:
         return Choice(BEST, f"the prior has a depth at {100 * share:.0f} % of the pixels below the sky")
     return Choice(GAUSSIANS, f"the prior shows {100 * share:.0f} % of the pixels below the sky")

@@ -39,6 +39,12 @@ def test_a_dense_prior_is_for_gaussians_and_a_sparse_one_is_not(scene: Scene) ->
     assert sparse.family == "mip360" and "30 %" in sparse.why
 
 
+def test_a_prior_that_is_often_wrong_is_for_hash_fields(scene: Scene) -> None:
+    dense = thinned(scene, 1.0)
+    assert by_scene(Checked(dense, Finding(patches=100, wrong=0.1))).family == "splat"
+    assert by_scene(Checked(dense, Finding(patches=100, wrong=0.25))).family == "mip360"
+
+
 def test_pixels_of_the_sky_need_no_depth(scene: Scene) -> None:
     upper = np.zeros((len(scene.ids), *scene.camera.size), np.uint8)
     upper[:, : scene.camera.size[0] // 2] = 1
