@@ -15,39 +15,12 @@ import tempfile
 import time
 from pathlib import Path
 
+from processes import processor_s
+
 FLEET = Path(__file__).resolve().parents[1] / "fleet"
 os.environ["ROADPRIOR_EXTENSIONS"] = str(FLEET)
-TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 FRAMES = 100
 """Of a drive, at most: 1000 rows are ten drives."""
-
-
-def descendants() -> list[int]:
-    """List the processes below this one."""
-    parents: dict[int, list[int]] = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text("utf-8").rpartition(")")[2].split()
-        except OSError:
-            continue
-        parents.setdefault(int(fields[1]), []).append(int(stat.parent.name))
-    found, level = [], [os.getpid()]
-    while level:
-        level = [child for parent in level for child in parents.get(parent, [])]
-        found += level
-    return found
-
-
-def processor_s() -> float:
-    """Return the processor time of this process and all below it, those that ended too where they were waited for."""
-    total = time.process_time()
-    for pid in descendants():
-        try:
-            fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
-        except OSError:
-            continue
-        total += sum(map(int, fields[11:15])) * TICK_S
-    return total
 
 
 def peak_mb() -> float:
