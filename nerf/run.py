@@ -28,7 +28,7 @@ from nerf.model import Model, ShowsScene
 from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
-from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
+from nerf.prepare import ProgressBar, SceneConfig, disk_told, is_prepared, open_scene, silent
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
 from nerf.truths import Truths
@@ -79,6 +79,12 @@ class Run:
     def scene(self) -> Scene:
         """The run's scene, its prior as the check leaves it; what was prepared already is used again."""
         return self.checked.scene
+
+    @property
+    def disk_told(self) -> str | None:
+        """The line that says what disk the scene is going to take; None where that is little."""
+        prior = None if self.config.prior is None else open_guide(self.config.prior)
+        return disk_told(self.drive, prior, self.config.scene, self.folder.parent / SCENES)
 
     @cached_property
     def checked(self) -> Checked:

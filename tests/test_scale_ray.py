@@ -1,5 +1,6 @@
 """Builds on a Ray cluster: the local engine's maps, whatever dies; and what cannot be begun is told in a line."""
 
+import errno
 import json
 import os
 import pickle
@@ -23,6 +24,7 @@ from nerf.config import FitConfig
 from nerf.run import OWNER, open_run
 from nerf.study import FitRunner, RunSpec, Study
 from priors import build, drives, methods
+from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.methods.completion import Completion
@@ -30,6 +32,7 @@ from priors.owner.process import me
 from priors.scale import ray_session, scoring
 from priors.scale.crew import Builder, Stretch, plan_drive
 from priors.scale.drive_list import DriveEntry
+from priors.scale.here import build_here
 from priors.scale.order import Order
 from priors.scale.ray_session import Share, session, slots
 from priors.scale.tally import Part, Tally
@@ -62,7 +65,7 @@ def cluster() -> Iterator[Any]:
     ray = ray_session.import_ray()
     passed = {"ROADPRIOR_EXTENSIONS": str(FLEET), "PYTHONPATH": str(FLEET.parents[1])}
     given = {"log_to_driver": False, "logging_level": 40, "runtime_env": {"env_vars": passed}}
-    ray.init(num_cpus=2, include_dashboard=False, object_store_memory=100 * 2**20, **given)
+    ray.init("local", num_cpus=2, include_dashboard=False, object_store_memory=100 * 2**20, **given)
     yield ray
     ray.shutdown()
 
@@ -214,6 +217,27 @@ def test_what_a_process_does_needs_no_engine(fleet: list[Path], tmp_path: Path) 
     lost = Builder(orders, 1, 1)(stretches[0])
     assert lost.done == len(lost.failed) == 4
     assert [part.error for part in plan_drive(0, orders[0], 4) if isinstance(part, Part)] != [""]
+
+
+def test_what_was_built_before_the_disk_was_full_counts(
+    fleet: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The drive's error is told with it, and the other drive is built."""
+    write = Prior.write
+
+    def full(prior: Prior, frame_id: str, *rest: Any) -> Any:
+        if frame_id == BROKEN and prior.folder.parent.name == "one":
+            raise OSError(errno.ENOSPC, "No space left on device", str(prior.folder))
+        return write(prior, frame_id, *rest)
+
+    monkeypatch.setattr(Prior, "write", full)
+    tallies = [Tally(drive.name, str(drive)) for drive in fleet]
+    orders = [order(drive, fragile(), tmp_path / "cache") for drive in fleet]
+    build_here(orders, 1, lambda part: tallies[part.drive].add(part))
+    one, two = (tally.part for tally in tallies)
+    assert "No space left on device" in one.error and one.left > 0
+    assert one.built == len(list(Path(one.folder).glob("depth/*.png"))) >= int(BROKEN)
+    assert (two.built, two.error) == (FRAMES, "")
 
 
 def test_a_command_builds_many_drives(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

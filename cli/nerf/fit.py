@@ -143,6 +143,8 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
         folder = RUNS / f"{args.sequence}-{RunConfig.of(drive, prior, scene, config).title}"
     with leader_first():  # it makes the folder and the scene's arrays, which the others find
         this_run = begin(drive, prior, scene, config, folder, progress)
+        if (line := this_run.disk_told) is not None:
+            err.print(line)
         _ = this_run.scene
     with this_run.held():
         return _fit_and_score(args, this_run)

@@ -17,7 +17,7 @@ from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TypeAlias
 
 from processes import below, kill, processor_s, spent_s
 
@@ -32,6 +32,8 @@ from priors.scale.tally import Part
 from priors.street.write import write_street
 
 ROOT = Path(__file__).resolve().parents[2]
+Took: TypeAlias = tuple[float, float]
+"""Wall and processor time, seconds."""
 CORES = 1
 """Of a node; each process of the build has them all."""
 
@@ -58,8 +60,8 @@ class Killer:
     """Ends a node's processes once so many frames are built."""
 
     after: int
-    raylet: int
     cache: Path
+    raylet: int = 0
     built: int = 0
     in_hand: int | None = None
     """Frames that the node was computing; None: it lives."""
@@ -103,16 +105,21 @@ class Built:
         )
 
 
-def build(name: str, cache: Path, run: Callable[[Callable[[Part], None]], None]) -> Built:
+def timed(work: Callable[[], None]) -> Took:
+    """Return the wall and processor time of some work, of this process and those below it that live."""
+    began, before = time.perf_counter(), processor_s()
+    work()
+    return time.perf_counter() - began, processor_s() - before
+
+
+def build(name: str, cache: Path, run: Callable[[Callable[[Part], None]], Took]) -> Built:
     shutil.rmtree(cache, ignore_errors=True)
     failed: dict[str, str] = {}
 
     def note(part: Part) -> None:
         failed.update(part.failed | ({"drive": part.error} if part.error else {}))
 
-    began, before = time.perf_counter(), processor_s()
-    run(note)
-    wall_s, took_s = time.perf_counter() - began, processor_s() - before
+    wall_s, took_s = run(note)
     maps = {str(path.relative_to(cache)): path.read_bytes() for path in sorted(cache.glob("*/*/depth/*.png"))}
     lines = Counter[str]()
     for journal in cache.glob("*/*/frames.jsonl"):
@@ -120,8 +127,8 @@ def build(name: str, cache: Path, run: Callable[[Callable[[Part], None]], None])
     return Built(name, maps, sum(lines.values()) - len(lines), wall_s, took_s, failed)
 
 
-def on_two_nodes(orders: list[Order], note: Callable[[Part], None], killer: Callable[[int], Any] | None) -> Any:
-    """Build on a cluster of two nodes of this machine; returns what kills one of them."""
+def on_two_nodes(orders: list[Order], note: Callable[[Part], None], killer: Killer | None = None) -> Took:
+    """Build on a cluster of two nodes of this machine; its own start is not timed."""
     from ray.cluster_utils import Cluster
 
     given = {"num_cpus": CORES, "object_store_memory": 100 * 2**20, "include_dashboard": False}
@@ -129,16 +136,16 @@ def on_two_nodes(orders: list[Order], note: Callable[[Part], None], killer: Call
     try:
         node = cluster.add_node(num_cpus=CORES, object_store_memory=100 * 2**20)
         cluster.wait_for_nodes()
-        raylet = node.all_processes["raylet"][0].process.pid
-        kills = None if killer is None else killer(raylet)
+        if killer is not None:
+            killer.raylet = node.all_processes["raylet"][0].process.pid
 
         def tell(part: Part) -> None:
             note(part)
-            if kills is not None:
-                kills(part)
+            if killer is not None:
+                killer(part)
 
-        build_on_ray(orders, 1, tell, Share(CORES), cluster.address)
-        return kills
+        wall_s, took_s = timed(lambda: build_on_ray(orders, 1, tell, Share(CORES), cluster.address))
+        return wall_s, took_s + (killer.spent_s if killer else 0.0)
     finally:
         cluster.shutdown()
 
@@ -151,22 +158,23 @@ def measure(home: Path, frames: int, drives: list[Path], method: str) -> None:
         return [Order(DriveEntry(drive), how, cache=home / cache) for drive in drives]
 
     build_here(orders("warm")[:1], 1, lambda part: None)  # what is compiled is compiled then
-    local = build("local, one frame at a time", home / "local", lambda note: build_here(orders("local"), 1, note))
-    whole = build("Ray, two nodes", home / "ray", lambda note: on_two_nodes(orders("ray"), note, None))
-    kept: list[Killer] = []
-
-    def with_kill(note: Callable[[Part], None]) -> None:
-        kept.append(on_two_nodes(orders("killed"), note, lambda raylet: Killer(total // 3, raylet, home / "killed")))
-
-    killed = build("Ray, one of two nodes killed", home / "killed", with_kill)
-    killed.processor_s += kept[0].spent_s
+    local = build(
+        "local, one frame at a time",
+        home / "local",
+        lambda note: timed(lambda: build_here(orders("local"), 1, note)),
+    )
+    whole = build("Ray, two nodes", home / "ray", lambda note: on_two_nodes(orders("ray"), note))
+    killer = Killer(total // 3, home / "killed")
+    killed = build(
+        "Ray, one of two nodes killed", home / "killed", lambda note: on_two_nodes(orders("killed"), note, killer)
+    )
     print(f"{len(drives)} drives x {frames} frames, {method}; nodes of {CORES} core")
     print("| engine | maps | same bytes | made twice | wall s | processor s |\n|---|---:|---|---:|---:|---:|")
     for each in (local, whole, killed):
         print(each.row(local))
         for id_, why in each.failed.items():
             print(f"    failed: {id_}: {why}")
-    hand = kept[0].in_hand
+    hand = killer.in_hand
     print("the node was not killed: too few frames" if hand is None else f"in hand on the node that was killed: {hand}")
 
 

@@ -28,6 +28,8 @@ from priors.motion import trajectory
 from priors.street.write import write_street
 from priors.types import Drive
 
+HEAD = """| fitted as | fields | PSNR dB | SSIM | AbsRel | processor s | peak MB |
+|---|---:|---:|---:|---:|---:|---:|"""
 KINDS = ("one field", "blocks", "short drives")
 HELD_OUT = 10
 """Every so many-th frame is held out: stretches that begin at multiples have the held-out views of the whole."""
@@ -129,9 +131,7 @@ def main() -> None:
     for steps in asked.steps:
         guide = "colours alone" if asked.colours_alone else "LiDAR prior"
         print(f"{asked.frames} frames of {asked.size}, {asked.field}, {guide}, {steps} steps a row")
-        print(
-            "| fitted as | fields | PSNR dB | SSIM | AbsRel | processor s | peak MB |\n|---|---:|---:|---:|---:|---:|---:|"
-        )
+        print(HEAD)
         for kind in KINDS:  # each in a process of its own, so that its memory is its own
             sys.stdout.flush()
             subprocess.run([*given, "--steps", str(steps), "--only", kind], check=True)
