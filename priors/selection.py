@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.errors import DataError, UsageError, expect
-from priors.types import Frame
+from priors.types import Drive, Frame
 
 Item = TypeVar("Item")
 
@@ -154,3 +154,14 @@ class MotionGate:
                 return f"stood still: moved {moved_m:.2f} m"
         self.last_m = position_m
         return None
+
+
+def first_readable(drive: Drive) -> Frame:
+    """Return the first frame that can be opened; the last frame's DataError where none can."""
+    reason = DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
+    for index in range(len(drive)):
+        try:
+            return drive[index]
+        except DataError as error:
+            reason = error
+    raise reason

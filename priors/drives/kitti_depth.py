@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from priors.drives import BY_FRAME, CameraDrive, DriveOptions
-from priors.drives._files import IMAGE_SUFFIXES, choose, image_size, search, stems
+from priors.drives import DriveOptions
+from priors.drives._files import IMAGE_SUFFIXES, choose, search, stems
+from priors.drives._single_frames import SingleFrames
 from priors.errors import DataError, UsageError
 from priors.text import read_text
 from priors.types import Camera
@@ -54,7 +55,7 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiDepth":
     return KittiDepth(folder)
 
 
-class KittiDepth(CameraDrive):
+class KittiDepth(SingleFrames):
     """The frames of a selection."""
 
     usual_camera = "image"
@@ -71,10 +72,6 @@ class KittiDepth(CameraDrive):
     def name(self) -> str:
         """The data set and the selection."""
         return f"kitti_depth_{super().name}"
-
-    def describe(self) -> dict[str, Any]:
-        """Return what a manifest records: cameras differ by frame."""
-        return {**super().describe(), "cameras": BY_FRAME}
 
     def sources(self) -> list[Path]:
         """List the calibration of all frames."""
@@ -94,11 +91,7 @@ class KittiDepth(CameraDrive):
 
     def camera_of(self, id_: str) -> Camera:
         """Return the frame's own camera."""
-        return Camera(self._read_K(self._intrinsics(id_)), self._size_of(self.images[id_]))
-
-    @cached_property
-    def _size_of(self) -> Any:
-        return lru_cache(maxsize=None)(image_size)
+        return Camera(self._read_K(self._intrinsics(id_)), self.size_of(self.images[id_]))
 
     @cached_property
     def _read_K(self) -> Any:
