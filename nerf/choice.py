@@ -17,8 +17,11 @@ from nerf.world import here
 
 AUTO = "auto"
 """Stands for the family that is chosen."""
-DENSE = 0.75
-"""Share of the pixels below the sky that must have a depth for Gaussians to start from: LiDAR alone has 0.1 to 0.55."""
+DENSE = 0.7
+"""Share of the pixels below the sky at which a prior must be sure of a depth for Gaussians to start from: stereo has
+0.75 and more, completion 0.65 to 0.7, LiDAR alone 0.1 to 0.55."""
+SURE = 0.2
+"""Confidence from which on a prior is sure enough: what guides and carves in hash fields (`--trust`)."""
 WRONG = 0.18
 """Share of the patches that other images show at another depth up to which Gaussians start right: stereo and completion
 have 0.1, mono 0.25 to 0.3."""
@@ -66,16 +69,19 @@ def by_scene(checked: Checked) -> Choice:
     if finding is not None and finding.wrong > WRONG:
         return Choice(BEST, f"other images show {100 * finding.wrong:.0f} % of the prior's patches at another depth")
     if share < DENSE:
-        return Choice(BEST, f"the prior has a depth at {100 * share:.0f} % of the pixels below the sky")
-    return Choice(GAUSSIANS, f"the prior shows {100 * share:.0f} % of the pixels below the sky")
+        return Choice(BEST, f"the prior is sure at {100 * share:.0f} % of the pixels below the sky")
+    return Choice(GAUSSIANS, f"the prior is sure at {100 * share:.0f} % of the pixels below the sky")
 
 
 def covered(scene: Scene) -> float:
-    """Return the share of the pixels below the sky that a prior has a depth at, over some of the training frames."""
+    """Return the share of the pixels below the sky at which a prior is sure of a depth, over some training frames."""
     assert scene.depth_m is not None
     there, solid = 0, 0
     for position in scene.train[:: -(-len(scene.train) // LOOKED_AT)]:
         ground = np.ones(scene.camera.size, bool) if scene.sky is None else np.asarray(scene.sky[position]) == 0
-        there += int(((np.asarray(scene.depth_m[position]) > 0) & ground).sum())
+        known = np.asarray(scene.depth_m[position]) > 0
+        if scene.weight is not None:
+            known &= np.asarray(scene.weight[position]) >= SURE * 255
+        there += int((known & ground).sum())
         solid += int(ground.sum())
     return there / max(solid, 1)

@@ -30,7 +30,9 @@ def thinned(scene: Scene, share: float) -> Scene:
     assert scene.depth_m is not None
     random = np.random.default_rng(0)
     maps = np.stack([np.asarray(scene.depth_m[position]) for position in range(len(scene.ids))])
-    return replace(scene, depth_m=np.where(random.random(maps.shape) < share, np.maximum(maps, 1), 0), sky=None)
+    return replace(
+        scene, depth_m=np.where(random.random(maps.shape) < share, np.maximum(maps, 1), 0), weight=None, sky=None
+    )
 
 
 def test_a_dense_prior_is_for_gaussians_and_a_sparse_one_is_not(scene: Scene) -> None:
@@ -45,12 +47,20 @@ def test_a_prior_that_is_often_wrong_is_for_hash_fields(scene: Scene) -> None:
     assert by_scene(Checked(dense, Finding(patches=100, wrong=0.25))).family == "mip360"
 
 
+def test_depth_that_a_prior_is_not_sure_of_does_not_count(scene: Scene) -> None:
+    dense = thinned(scene, 1.0)
+    weight = np.full((len(scene.ids), *scene.camera.size), 255, np.uint8)
+    weight[..., ::2] = 25
+    unsure = replace(dense, weight=weight)
+    assert covered(unsure) == pytest.approx(0.5, abs=0.02) and by_scene(Checked(unsure, None)).family == "mip360"
+
+
 def test_pixels_of_the_sky_need_no_depth(scene: Scene) -> None:
     upper = np.zeros((len(scene.ids), *scene.camera.size), np.uint8)
     upper[:, : scene.camera.size[0] // 2] = 1
     half = np.where(upper, 0, 5.0).astype(np.float32)
-    assert covered(replace(scene, depth_m=half, sky=upper)) == 1
-    assert covered(replace(scene, depth_m=half, sky=None)) == pytest.approx(0.5, abs=0.1) and DENSE > 0.6
+    assert covered(replace(scene, depth_m=half, weight=None, sky=upper)) == 1
+    assert covered(replace(scene, depth_m=half, weight=None, sky=None)) == pytest.approx(0.5, abs=0.1) and DENSE > 0.6
 
 
 def test_a_prior_that_the_check_left_out_is_no_start(scene: Scene) -> None:
