@@ -91,5 +91,5 @@ def check_reuse(length: int, method: Method, frame: Frame) -> None:
     if not method.carries:
         raise UsageError(f"--reuse {length}: {method.name} cannot carry a map on, stereo can: leave --reuse out")
     if frame.T_world_cam is None:
-        why = frame.missing.get("pose", "this drive has none")
+        why = frame.why_unplaced()
         raise UsageError(f"--reuse {length}: maps are carried on by the poses: {why}: leave --reuse out")
