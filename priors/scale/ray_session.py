@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from types import ModuleType
+from typing import Any
 
 from priors import extensions
 from priors.errors import DataError, expect
@@ -46,8 +47,7 @@ def import_ray() -> ModuleType:
         import ray
     except ImportError as error:
         raise DataError("--engine ray: Ray is not installed: pip install 'roadprior[cluster]'") from error
-    for name in ("ray", "ray.data"):
-        logging.getLogger(name).setLevel(logging.ERROR)
+    logging.getLogger("ray").setLevel(logging.ERROR)
     found: ModuleType = ray
     return found
 
@@ -96,10 +96,12 @@ def _fit(resources: dict[str, float], share: Share) -> int:
 
 
 def _connect(ray: ModuleType, address: str | None) -> None:
-    passed = {name: os.environ[name] for name in PASSED_ON if name in os.environ}
-    given = {"runtime_env": {"env_vars": passed}, "log_to_driver": False, "logging_level": logging.ERROR}
-    if address is None:
+    given: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
+    if address is None:  # its processes are of this one's environment; to name it would start others beside them
         given |= {"include_dashboard": False, "object_store_memory": STORE_BYTES}
+    else:
+        passed = {name: os.environ[name] for name in PASSED_ON if name in os.environ}
+        given["runtime_env"] = {"env_vars": passed}
     try:
         ray.init(address=address or "local", configure_logging=True, **given)
     except Exception as error:  # Ray raises plain ones too
