@@ -46,6 +46,7 @@ from priors.types import Camera, Matrix, Sweep
 SWEEP_SUFFIXES = (".bin", ".npy")
 MAP_SUFFIXES = (".png", ".npy", ".npz", ".pfm")
 MAPS = {"truth": "depth", "sparse": "sparse"}
+WANTED = "write fx, fy, cx, cy and baseline_m into it (docs/datasets.md)"
 
 
 def recognises(path: Path) -> bool:
@@ -79,9 +80,7 @@ class Folder(CameraDrive):
         self.maps = {what: joined(self.images, paths) for what, paths in maps.items()}
         self._sweeps = joined(self.images, stems(follow(self.folder / "lidar"), SWEEP_SUFFIXES))
         self._calibrations = joined(self.images, stems(follow(self.folder / "calib"), [".json"]))
-        self._values = read_json(
-            self.folder / "calib.json", "write fx, fy, cx, cy and baseline_m into it (docs/datasets.md)"
-        )
+        self._values = read_json(self.folder / "calib.json", WANTED)
         self._shared, self._own = self._read_shared(), lru_cache(maxsize=None)(self._read_own)
         self.camera, self.baseline_m, self.rig = (
             self.camera_of(self.ids[0]),
