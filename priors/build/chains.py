@@ -1,4 +1,4 @@
-"""Chains: frames that are made together where maps are carried on (`--reuse N`).
+"""Chains: with `--reuse N` a map is carried on to the next frames, and these frames are made one after the other.
 
 A frame whose position in the whole drive is a multiple of N begins a chain, and is made whole; the N - 1 after it are
 made of the one before. A chain always begins there, whatever frames are asked for: so maps do not depend on ranges,
