@@ -23,7 +23,7 @@ from nerf.blocks import part, parts_of
 from nerf.config import FitConfig
 from nerf.run import OWNER, open_run
 from nerf.study import FitRunner, RunSpec, Study
-from priors import build, drives, methods
+from priors import build, drives
 from priors.cache import Prior
 from priors.errors import DataError
 from priors.filters import Filters
@@ -42,19 +42,9 @@ from priors.selection import Selection
 from priors.street.write import write_street
 from priors.types import Method
 
-pytestmark = pytest.mark.cluster
+pytestmark = [pytest.mark.cluster, pytest.mark.usefixtures("fleet_choices")]
 FLEET = Path(__file__).parent / "fleet"
 FRAMES, DEADLY, BROKEN = 10, "000003", "000007"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def extended() -> Iterator[None]:
-    """The methods and drives of tests/fleet are choices here, as ROADPRIOR_EXTENSIONS makes them elsewhere."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROADPRIOR_EXTENSIONS", str(FLEET))
-        patch.setattr(methods, "__path__", [*methods.__path__, str(FLEET / "methods")])
-        patch.setattr(drives, "__path__", [*drives.__path__, str(FLEET / "drives")])
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -92,9 +92,8 @@ def prepare(home: Path, frames: int, size: tuple[int, int]) -> None:
 def row(kind: str, scores: Sequence[FrameScore], fields: int, spent: str) -> str:
     image = mean([score.image for score in scores])
     depth = [score.depth.metrics()["abs_rel"] for score in scores if score.depth is not None]
-    return (
-        f"| {kind} | {fields} | {image['psnr']:.2f} | {image['ssim_gauss11']:.4f} | {sum(depth) / len(depth):.4f} | {spent} |"
-    )
+    figures = f"{image['psnr']:.2f} | {image['ssim_gauss11']:.4f} | {sum(depth) / len(depth):.4f}"
+    return f"| {kind} | {fields} | {figures} | {spent} |"
 
 
 def measure(long: Long, kind: str) -> None:
