@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import pickle
+import socket
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -25,7 +26,7 @@ from nerf.run import OWNER, open_run
 from nerf.study import FitRunner, RunSpec, Study
 from priors import build, drives
 from priors.cache import Prior
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.filters import Filters
 from priors.methods.completion import Completion
 from priors.owner.process import me
@@ -257,12 +258,24 @@ def test_without_ray_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_no_cluster_at_the_address_is_one_line() -> None:
+    """Where nothing listens Ray is not asked: it would wait for minutes."""
+
     def refuse(**_: Any) -> None:
         raise ConnectionError("could not find any running Ray instance\nmore lines")
 
-    ray = SimpleNamespace(init=refuse)
-    with pytest.raises(DataError, match=r"^--address auto: no cluster there: `ray start` begins one$"):
-        ray_session._connect(ray, "auto")  # type: ignore[arg-type]
+    ray: Any = SimpleNamespace(init=refuse)
+    with pytest.raises(DataError, match=r"^--address auto: no cluster there: `ray start --head` begins one$"):
+        ray_session._connect(ray, "auto")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        nobody = f"127.0.0.1:{free.getsockname()[1]}"
+    unasked: Any = SimpleNamespace(init=lambda **_: pytest.fail("Ray was asked"))
+    for address in (nobody, f"ray://{nobody}"):
+        with pytest.raises(DataError, match=r"no cluster there: .*[Rr]efused"):
+            ray_session._connect(unasked, address)
+    for address in ("here", "127.0.0.1", "127.0.0.1:x", ":6379"):
+        with pytest.raises(UsageError, match="expected auto, HOST:PORT or ray://HOST:PORT"):
+            ray_session._connect(unasked, address)
 
 
 def test_a_share_that_no_node_has_is_refused() -> None:
