@@ -154,6 +154,7 @@ def fleet_choices() -> Iterator[None]:
     """The methods and drives of tests/fleet are choices here, as ROADPRIOR_EXTENSIONS makes them elsewhere."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROADPRIOR_EXTENSIONS", str(FLEET))
+        patch.setenv("PYTHONPATH", str(FLEET.parents[1]))
         patch.setattr(methods, "__path__", [*methods.__path__, str(FLEET / "methods")])
         patch.setattr(drives, "__path__", [*drives.__path__, str(FLEET / "drives")])
         yield

@@ -21,7 +21,6 @@ def test_frames_of_a_killed_node_are_made_elsewhere_and_none_is_made_twice(
     if os.environ.get("ROADPRIOR_CLUSTER") != "required":
         pytest.importorskip("ray")
     monkeypatch.syspath_prepend(Path(__file__).parent / "bench")
-    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parents[1]))
     import killed_node  # type: ignore[import-not-found]
 
     from priors.drives.counted import write_counted  # type: ignore[import-not-found]

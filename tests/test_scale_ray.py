@@ -44,18 +44,16 @@ from priors.street.write import write_street
 from priors.types import Method
 
 pytestmark = [pytest.mark.cluster, pytest.mark.usefixtures("fleet_choices")]
-FLEET = Path(__file__).parent / "fleet"
 FRAMES, DEADLY, BROKEN = 10, "000003", "000007"
 
 
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    """Two cores of this machine as a Ray cluster, for all tests of this file."""
+def cluster(fleet_choices: None) -> Iterator[Any]:
+    """Two cores of this machine as a Ray cluster, for all tests of this file; its processes have our environment."""
     if os.environ.get("ROADPRIOR_CLUSTER") != "required":
         pytest.importorskip("ray")
     ray = ray_session.import_ray()
-    passed = {"ROADPRIOR_EXTENSIONS": str(FLEET), "PYTHONPATH": str(FLEET.parents[1])}
-    given = {"log_to_driver": False, "logging_level": 40, "runtime_env": {"env_vars": passed}}
+    given = {"log_to_driver": False, "logging_level": 40}
     ray.init("local", num_cpus=2, include_dashboard=False, object_store_memory=100 * 2**20, **given)
     yield ray
     ray.shutdown()
