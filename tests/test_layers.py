@@ -40,6 +40,7 @@ ROOMS = [
     "priors/sequences",
     "priors/pairs",
     "priors/egomotion",
+    "priors/extrinsics",
     "priors/filters",
     "priors/nets",
     "priors/adapt",
