@@ -275,6 +275,17 @@ def test_what_shows_too_little_is_refused(street: Path) -> None:
         kept.measured_on(open_drive(street)[:2], street)
 
 
+def test_a_plain_wall_tells_no_turn(raw_drive: Path) -> None:
+    """It leans, and fills the image: turned about its own, it looks the same but for where its ends are."""
+    drive = open_drive(raw_drive)
+    try:
+        measured = measure([drive[index] for index in range(len(drive))])
+    except DataError as error:
+        assert "too few surfaces and outlines" in str(error)
+    else:
+        assert "not seen" in str(measured) and measured.correction.size_deg < 0.3
+
+
 def test_it_is_measured_once_and_again_where_a_frame_has_changed(own_street: Path, tmp_path: Path) -> None:
     drive, notes = open_drive(own_street), list[str]()
     first = kept.measured_on(drive, tmp_path / "kept", notes.append)

@@ -30,6 +30,8 @@ OUT_PX = np.arange(-2.0, 2.1, 0.5)
 """How far outlines may stand out of the things in the image, px."""
 FEWEST = 300
 """Outline points in all frames."""
+MOST = 8000
+"""Of one frame."""
 MARGIN_PX = 12.0
 
 
@@ -50,8 +52,9 @@ class EdgeView:
         found = find_outlines(seen.xyz_m)
         times = None if seen.time_s is None else seen.time_s[found.source]
         points = Points.of_sweep(replace(sweep, xyz_m=found.xyz_m, time_s=times), T_cam_lidar)
-        inside = in_view(camera, points.xyz_m + points.origin_m, MARGIN_PX)
-        return cls(points.take(inside), found.side[inside], camera, as_grey(image))
+        inside = np.flatnonzero(in_view(camera, points.xyz_m + points.origin_m, MARGIN_PX))
+        some = inside[:: max(1, -(-len(inside) // MOST))]
+        return cls(points.take(some), found.side[some], camera, as_grey(image))
 
     def strengths(self, by: Correction, yaws_deg: Floats, edges: FloatMap) -> Floats:
         """Return the edges' strength, summed over the outlines, (yaws, len(OUT_PX)), for yaws beside a correction's."""

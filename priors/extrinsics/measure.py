@@ -3,7 +3,7 @@
 Surfaces that the pair and the sweep both see tell pitch, roll and delay; upright edges tell yaw. docs/extrinsics.md.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -11,8 +11,8 @@ import numpy as np
 
 from priors.errors import DataError
 from priors.extrinsics.correction import NONE, Correction
-from priors.extrinsics.edges import EdgeView, yaw_by_edges
-from priors.extrinsics.fit import Fit, fit_surfaces
+from priors.extrinsics.edges import EdgeView, Yaw, yaw_by_edges
+from priors.extrinsics.fit import UNKNOWNS, Fit, fit_surfaces
 from priors.extrinsics.surfaces import SurfaceView
 from priors.types import Drive, Frame
 
@@ -28,6 +28,8 @@ SURFACES_DEG, EDGES_DEG, PLACE_DEG = 0.04, 0.02, 0.04
 place is known within 1 cm."""
 SURE = 2.0
 """A delay counts from so many standard errors on."""
+SEEN: Mapping[str, float] = {"pitch": 0.2, "yaw": 0.2, "roll": 0.2, "delay": 0.01}
+"""Standard errors, degrees and seconds, above which a number says nothing: it is not seen."""
 Angles: TypeAlias = tuple[float, float, float]
 AXES = ("pitch", "yaw", "roll")
 
@@ -147,18 +149,28 @@ def _join(edges: Sequence[EdgeView], surfaces: Sequence[SurfaceView]) -> Measure
     if fit is None:
         return _by_edges_alone(edges)
     delay_error_s = float(fit.errors[3])
-    if moving and abs(fit.correction.delay_s) < SURE * delay_error_s:  # the errors of a delay would go into yaw
+    if abs(fit.correction.delay_s) < SURE * delay_error_s:  # what is wrong with a delay would go into yaw
         free = list(AXES)
-        fit = fit_surfaces(surfaces, replace(fit.correction, delay_s=0.0), free) or fit
-    yaw = yaw_by_edges(edges, fit.correction, REACH_DEG)
-    variances = np.array([fit.errors[1] ** 2, np.inf])
-    variances[0] = SURFACES_DEG**2 + max(0.0, variances[0] - PLACE_DEG**2)
-    yaws = [fit.correction.turn_deg[1], 0.0]
-    if yaw is not None:
-        yaws[1], variances[1] = yaw.deg, EDGES_DEG**2 + yaw.error_deg**2
-    weights = 1 / variances
-    yaw_deg, yaw_error = float(weights @ yaws / weights.sum()), float(np.hypot(PLACE_DEG, weights.sum() ** -0.5))
+        fit = fit_surfaces(surfaces, NONE, free) or fit
+    free = [name for name, error in zip(UNKNOWNS, fit.errors, strict=True) if name in free and error < SEEN[name]]
+    fit = fit_surfaces(surfaces, NONE, free) if free else None
+    if fit is None:
+        return _by_edges_alone(edges)
+    yaw_deg, yaw_error = _yaw(fit, yaw_by_edges(edges, fit.correction, REACH_DEG))
+    delay_error_s = delay_error_s if delay_error_s < SEEN["delay"] else np.inf
     return _beside(yaw_deg, yaw_error, surfaces, fit, free, delay_error_s)
+
+
+def _yaw(fit: Fit, by_edges: Yaw | None) -> tuple[float, float]:
+    """Return the weighted mean of what surfaces and edges say of yaw, and its error, degrees; 0 and inf of neither."""
+    yaws, variances = np.array([fit.correction.turn_deg[1], 0.0]), np.array([np.inf, np.inf])
+    variances[0] = SURFACES_DEG**2 + max(0.0, float(fit.errors[1]) ** 2 - PLACE_DEG**2)
+    if by_edges is not None:
+        yaws[1], variances[1] = by_edges.deg, EDGES_DEG**2 + by_edges.error_deg**2
+    weights = 1 / variances
+    if not weights.any():
+        return 0.0, np.inf
+    return float(weights @ yaws / weights.sum()), float(np.hypot(PLACE_DEG, weights.sum() ** -0.5))
 
 
 def _beside(

@@ -37,7 +37,7 @@ MATCHED = 6
 """Of 3 x 3 matches, those that make a mean."""
 MISMATCH_PX = 4.0
 RECTIFICATION, TURN, DELAY, PLACE = slice(0, 5), slice(5, 8), 8, slice(9, 12)
-"""Columns of the factors: shift, tilt, yaw, pitch and stretch of the pair; turn, rad; delay, s; the LiDAR's place, m."""
+"""Columns: shift, tilt, yaw, pitch and stretch of the pair; turn, rad; delay, s; the LiDAR's place, m."""
 COLUMNS = 12
 
 
