@@ -11,10 +11,9 @@ from priors.errors import DataError
 from priors.extrinsics.measure import FEWEST_FRAMES, measure
 from priors.types import Frame, Input
 
-TURNED_DEG = 0.1
-"""A turn that is larger, less its standard error, is told: 1.3 px at KITTI's focal length."""
-LATE_S = 0.005
-"""So is a delay: 7 cm at 50 km/h."""
+TURNED_DEG, LATE_S, SURE = 0.1, 0.005, 2.0
+"""A turn and a delay that are larger, by so many standard errors, are told: 1.3 px at KITTI's focal length, and 7 cm at
+50 km/h."""
 KINDS: tuple[Input, ...] = ("image", "other", "sweep")
 MEND = "--lidar.extrinsics measured corrects it"
 
@@ -29,8 +28,8 @@ def judge_extrinsics(sampled: Sequence[Sample]) -> Iterator[Finding]:
     except DataError as error:
         yield Finding("note", "lidar", f"its turn against the camera is not measured: {error}")
         return
-    turned = measured.correction.size_deg - measured.error_deg > TURNED_DEG
-    late = abs(measured.correction.delay_s) - measured.delay_error_s > LATE_S
+    turned = measured.correction.size_deg - SURE * measured.error_deg > TURNED_DEG
+    late = abs(measured.correction.delay_s) - SURE * measured.delay_error_s > LATE_S
     if turned or late:
         yield Finding("warning", "lidar", f"against the camera it is {measured}: {MEND}")
     else:

@@ -17,9 +17,11 @@ UNKNOWNS = ("pitch", "yaw", "roll", "delay")
 ROUNDS = 24
 FINEST_PX, COARSEST_PX, FALL = 0.15, 2.0, 0.75
 """Scale of Cauchy's weights at the end and the beginning, and how it falls from round to round."""
-PLACE_M = (0.01, 0.01, 0.05)
-"""How well it is known where the LiDAR is (standard deviation, along the camera's axes), metres: it is not fitted, but
-told in the errors. Forward is told from a stereo match's own bias no better."""
+PLACE_M = 0.01
+"""How well it is known where the LiDAR is, sideways and upwards (standard deviation), metres: it is not fitted, but told
+in the errors."""
+BIAS_PX, BIAS_AT_M = 0.1, 10.0
+"""Forward it is known as well as a match that is so far off sees a surface there: its bias looks the same."""
 HOLD_PX = 20.0
 """Noise of one residual beside the spread that is expected of the pair's rectification: the residuals of a frame share
 what the match does wrong, and a turn is likelier than a pair that is off."""
@@ -78,7 +80,7 @@ def fit_surfaces(views: Sequence[SurfaceView], start: Correction, free: Sequence
         H = sums.H.sum(axis=0)[np.ix_(columns, columns)] + ridge
         values[columns] += np.linalg.solve(H, sums.g.sum(axis=0)[columns] - ridge @ (values - usual)[columns])
     errors = np.full(COLUMNS, np.inf)
-    errors[columns] = _errors(sums, H, columns)
+    errors[columns] = _errors(sums, H, columns, BIAS_PX * BIAS_AT_M**2 / views[0].fx_baseline)
     return Fit(_correction(values), np.array([*np.degrees(errors[TURN]), errors[DELAY]]), _rectification(values))
 
 
@@ -95,11 +97,11 @@ def _sum(views: Sequence[SurfaceView], values: Floats, scale_px: float) -> _Sums
     return _Sums(np.array(parts_H), np.array(parts_g), count)
 
 
-def _errors(sums: _Sums, H: Floats, columns: list[int]) -> Floats:
+def _errors(sums: _Sums, H: Floats, columns: list[int], forward_m: float) -> Floats:
     """Return the standard errors of the columns.
 
     They join those of an M-estimator (Huber 1967), frames being independent of each other; what neighbouring points of
-    a frame have in common (NOISE_PX); and the LiDAR's place, which is not fitted and known within PLACE_M ("consider"
+    a frame have in common (NOISE_PX); and the LiDAR's place, which is not fitted and known within PLACE_M, and forward_m ahead ("consider"
     covariance, Schmidt 1966).
     """
     inverse = np.linalg.inv(H)
@@ -107,7 +109,7 @@ def _errors(sums: _Sums, H: Floats, columns: list[int]) -> Floats:
     frames = len(g)
     covariance = inverse @ (g.T @ g * frames / max(1, frames - 1)) @ inverse + inverse * NOISE_PX**2
     moved = inverse @ sums.H.sum(axis=0)[columns, PLACE]
-    covariance += (moved * np.square(PLACE_M)) @ moved.T
+    covariance += (moved * np.square([PLACE_M, PLACE_M, forward_m])) @ moved.T
     return np.sqrt(np.maximum(0, np.diag(covariance)))
 
 

@@ -14,7 +14,7 @@ from priors.extrinsics.correction import NONE, Correction
 from priors.extrinsics.edges import EdgeView, Yaw, yaw_by_edges
 from priors.extrinsics.fit import UNKNOWNS, Fit, fit_surfaces
 from priors.extrinsics.surfaces import SurfaceView
-from priors.types import Drive, Frame
+from priors.types import Camera, Drive, Frame
 
 FRAMES = 12
 """Frames that are looked at, spread over the drive."""
@@ -23,10 +23,10 @@ REACH_DEG, FAR_REACH_DEG = 0.3, 1.2
 """How far edges look for yaw around what surfaces say; without a pair."""
 LARGEST_DEG = 2.0
 """More is no small correction: what is found there may be anything."""
-SURFACES_DEG, EDGES_DEG, PLACE_DEG = 0.04, 0.02, 0.04
-"""Errors of yaw that more frames do not lower (standard deviation): of either way alone; of both, by a LiDAR whose
-place is known within 1 cm."""
-SURE = 2.0
+SURFACES_PX, EDGES_PX, PLACE_DEG = 0.25, 0.25, 0.04
+"""Errors of yaw that more frames do not lower (standard deviation): of either way alone, in its images; of both, by a
+LiDAR whose place is known within 1 cm."""
+SURE = 3.0
 """A delay counts from so many standard errors on."""
 SEEN: Mapping[str, float] = {"pitch": 0.2, "yaw": 0.2, "roll": 0.2, "delay": 0.01}
 """Standard errors, degrees and seconds, above which a number says nothing: it is not seen."""
@@ -156,21 +156,27 @@ def _join(edges: Sequence[EdgeView], surfaces: Sequence[SurfaceView]) -> Measure
     fit = fit_surfaces(surfaces, NONE, free) if free else None
     if fit is None:
         return _by_edges_alone(edges)
-    yaw_deg, yaw_error = _yaw(fit, yaw_by_edges(edges, fit.correction, REACH_DEG))
+    by_edges = yaw_by_edges(edges, fit.correction, REACH_DEG)
+    yaw_deg, yaw_error = _yaw(fit, by_edges, surfaces[0].camera, edges[0].camera)
     delay_error_s = delay_error_s if delay_error_s < SEEN["delay"] else np.inf
     return _beside(yaw_deg, yaw_error, surfaces, fit, free, delay_error_s)
 
 
-def _yaw(fit: Fit, by_edges: Yaw | None) -> tuple[float, float]:
+def _yaw(fit: Fit, by_edges: Yaw | None, small: Camera, whole: Camera) -> tuple[float, float]:
     """Return the weighted mean of what surfaces and edges say of yaw, and its error, degrees; 0 and inf of neither."""
     yaws, variances = np.array([fit.correction.turn_deg[1], 0.0]), np.array([np.inf, np.inf])
-    variances[0] = SURFACES_DEG**2 + max(0.0, float(fit.errors[1]) ** 2 - PLACE_DEG**2)
+    variances[0] = _angle(SURFACES_PX, small) ** 2 + max(0.0, float(fit.errors[1]) ** 2 - PLACE_DEG**2)
     if by_edges is not None:
-        yaws[1], variances[1] = by_edges.deg, EDGES_DEG**2 + by_edges.error_deg**2
+        yaws[1], variances[1] = by_edges.deg, _angle(EDGES_PX, whole) ** 2 + by_edges.error_deg**2
     weights = 1 / variances
     if not weights.any():
         return 0.0, np.inf
     return float(weights @ yaws / weights.sum()), float(np.hypot(PLACE_DEG, weights.sum() ** -0.5))
+
+
+def _angle(px: float, camera: Camera) -> float:
+    """Return the angle of so many pixels in the middle of an image, degrees."""
+    return float(np.degrees(px / camera.fx))
 
 
 def _beside(
@@ -191,5 +197,5 @@ def _by_edges_alone(edges: Sequence[EdgeView]) -> Measured:
         raise DataError(
             f"{len(edges)} frames show too few surfaces and outlines to tell how LiDAR and camera are turned"
         )
-    error = float(np.hypot(PLACE_DEG, np.hypot(EDGES_DEG, yaw.error_deg)))
+    error = float(np.hypot(PLACE_DEG, np.hypot(_angle(EDGES_PX, edges[0].camera), yaw.error_deg)))
     return Measured(Correction((0.0, yaw.deg, 0.0)), (np.inf, error, np.inf), np.inf)
