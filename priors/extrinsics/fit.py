@@ -18,8 +18,8 @@ ROUNDS = 24
 FINEST_PX, COARSEST_PX, FALL = 0.15, 2.0, 0.75
 """Scale of Cauchy's weights at the end and the beginning, and how it falls from round to round."""
 PLACE_M = 0.01
-"""How well it is known where the LiDAR is, sideways and upwards (standard deviation), metres: it is not fitted, but told
-in the errors."""
+"""How well it is known where the LiDAR is, sideways and upwards (standard deviation), metres: it is not fitted, but
+told in the errors."""
 BIAS_PX, BIAS_AT_M = 0.1, 10.0
 """Forward it is known as well as a match that is so far off sees a surface there: its bias looks the same."""
 HOLD_PX = 20.0
@@ -101,8 +101,8 @@ def _errors(sums: _Sums, H: Floats, columns: list[int], forward_m: float) -> Flo
     """Return the standard errors of the columns.
 
     They join those of an M-estimator (Huber 1967), frames being independent of each other; what neighbouring points of
-    a frame have in common (NOISE_PX); and the LiDAR's place, which is not fitted and known within PLACE_M, and forward_m ahead ("consider"
-    covariance, Schmidt 1966).
+    a frame have in common (NOISE_PX); and the LiDAR's place, which is not fitted: it is known within PLACE_M, and ahead
+    within forward_m ("consider" covariance, Schmidt 1966).
     """
     inverse = np.linalg.inv(H)
     g = sums.g[:, columns] - sums.g[:, columns].mean(axis=0)
