@@ -9,6 +9,7 @@ from priors.errors import UsageError, expect, expect_between
 from priors.machine.threads import MOST_THREADS
 
 if TYPE_CHECKING:  # keeps the engine out of --help
+    from nerf.run import FitElsewhere
     from priors.scale.ray_session import Share
     from priors.scale.scoring import RayScorer
 
@@ -55,3 +56,15 @@ class EngineArguments:
 
         with session(self.address) as ray:
             yield RayScorer(ray, self.share)
+
+    @contextmanager
+    def elsewhere(self) -> Iterator["FitElsewhere | None"]:
+        """Give what fits a run's blocks on the cluster while the block runs; None: they are fitted here."""
+        if self.engine == "local":
+            yield None
+            return
+        from nerf.blocks_on_ray import RayBlocks
+        from priors.scale.ray_session import session
+
+        with session(self.address) as ray:
+            yield RayBlocks(ray, self.share)

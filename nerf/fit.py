@@ -103,11 +103,7 @@ def _fit_blocks(
     scene: Scene, config: FitConfig, run: Path, on_step: OnStep, how: tuple[str, Callable[[], bool]]
 ) -> Model:
     """Fit a field for each block of the path, one after the other; each has the whole budget."""
-    family = config.model.family
-    expect(fields.shares(family), "--blocks", f"{config.blocks_m:g}", f"a hash family, --field {family} has no blocks")
-    cut = Blocks.cut(scene, config.blocks_m or 0.0)
-    if here().leads:
-        cut.save(run)
+    cut = cut_blocks(scene, config, run)
     for number in range(len(cut)):
 
         def tell(status: Status, number: int = number) -> None:
@@ -116,6 +112,21 @@ def _fit_blocks(
         _fit_one(cut.scene(scene, number), config, part(run, number), tell, how)
     here().wait()
     return open_model(run, how[0])
+
+
+def cut_blocks(scene: Scene, config: FitConfig, run: Path) -> Blocks:
+    """Cut a scene into the blocks that are asked for, and write that into the run's folder.
+
+    Raises:
+        UsageError: the family has no blocks, or a block has too few training views.
+        DataError: the run was cut otherwise.
+    """
+    family, length_m = config.model.family, config.blocks_m or 0.0
+    expect(fields.shares(family), "--blocks", f"{length_m:g}", f"a hash family, --field {family} has no blocks")
+    cut = Blocks.cut(scene, length_m)
+    if here().leads:
+        cut.save(run)
+    return cut
 
 
 def _fit_one(scene: Scene, config: FitConfig, run: Path, on_step: OnStep, how: tuple[str, Callable[[], bool]]) -> Model:

@@ -27,6 +27,7 @@ from nerf.stack import Stack, StackWriter
 from priors import origin
 from priors.errors import DataError
 from priors.filters import Filters
+from priors.machine import disk
 from priors.motion import trajectory
 from priors.origin import Offset
 from priors.selection import parse_range, range_of, select
@@ -35,6 +36,9 @@ from priors.types import Camera, Drive
 
 SURE = 128
 """Confidence x 255 from which on a value is right rather than wrong: there is no sky, whatever the image shows."""
+RGB_BYTES, MAP_BYTES = 3, 4 + 1 + 1 + 2
+"""What a pixel takes: its colour; its depth, confidence and sky, and two rounds of the check (nerf/evidence)."""
+WHAT = "the scene's files"
 ProgressBar: TypeAlias = Callable[[str, int], AbstractContextManager[Callable[..., None]]]
 """Opens a progress bar of a label and a number of frames; yields what is called after each."""
 
@@ -55,6 +59,11 @@ class SceneConfig:
     def __post_init__(self) -> None:
         check_views(self.views)
         parse_range(self.frames)
+
+    def parts(self, drive: Drive, positions: list[int]) -> tuple[list[int], list[int]]:
+        """Part the frames at some positions of a drive into training and held-out ones, by their places among them."""
+        step = self.sparse_step or Rate.of(drive, positions).sparse_step
+        return split(len(positions), self.views, step)
 
 
 def silent(label: str, count: int) -> AbstractContextManager[Callable[..., None]]:
@@ -82,13 +91,13 @@ def open_scene(
 
     Raises:
         DataError: frames lack poses, poses jump, or the prior was made for another drive or camera, or has no frame
-            or no value in common with the training frames.
+            or no value in common with the training frames; or the disk is too small.
     """
     positions = select(drive.ids, config.frames)
-    step = config.sparse_step or Rate.of(drive, positions).sparse_step
-    train, test = split(len(positions), config.views, step)
+    train, test = config.parts(drive, positions)
     preparation = _Preparation(drive, positions, config.filters, folder, progress)
     copied = None if prior is None else preparation.copied(maps_of(prior, drive), test)
+    disk.expect_room(folder, preparation.missing_bytes(copied), WHAT)
     record = preparation.images()  # after what does not fit is told
     depth_m, weight = (None, None) if copied is None else copied.maps()
     if depth_m is not None and copied is not None and not any((depth_m[position] > 0).any() for position in train):
@@ -100,6 +109,14 @@ def open_scene(
     poses = origin.without(origin_m, poses)
     sky = None if copied is None else copied.sky()
     return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test, origin_m, sky)
+
+
+def disk_told(drive: Drive, prior: Guide | None, config: SceneConfig, folder: Path) -> str | None:
+    """Return the line that says what disk `open_scene` is going to take; None where that is little."""
+    preparation = _Preparation(drive, select(drive.ids, config.frames), config.filters, folder, silent)
+    _, test = config.parts(drive, preparation.positions)
+    copied = None if prior is None else preparation.copied(maps_of(prior, drive), test)
+    return disk.told(folder, preparation.missing_bytes(copied), WHAT)
 
 
 def is_prepared(drive: Drive, config: SceneConfig, folder: Path) -> bool:
@@ -130,6 +147,14 @@ class _Preparation:
     def home(self) -> Path:
         """The folder of these frames of this drive."""
         return self.folder / f"{self.drive.name}-{_digest(self.drive.fingerprint(), *self.ids)}"
+
+    def missing_bytes(self, copied: "_Copied | None") -> int:
+        """Return how many bytes the files take that are not there: of the images, and of a prior's maps and check."""
+        height, width = self.drive[self.positions[0]].camera.size
+        pixel = 0 if (self.home / "frames.json").exists() else RGB_BYTES
+        if copied is not None and not (copied.place / "depth.npy").exists():
+            pixel += MAP_BYTES
+        return pixel * len(self.positions) * height * width
 
     def images(self) -> dict[str, Any]:
         """Write images and poses unless they are there; the record is written last and marks them as done."""

@@ -9,12 +9,12 @@ runs/<name>/config.json              drive, prior, frames, views and every setti
 
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from eval.lpips import Lpips
 from nerf import blocks, cameras, checkpoint, fields, journal
@@ -28,7 +28,7 @@ from nerf.model import Model, ShowsScene
 from nerf.naming import labels
 from nerf.pictures import save_view
 from nerf.placed import PlacedModel
-from nerf.prepare import ProgressBar, SceneConfig, is_prepared, open_scene, silent
+from nerf.prepare import ProgressBar, SceneConfig, disk_told, is_prepared, open_scene, silent
 from nerf.report import Report, Scoring, Subject, report
 from nerf.scene import Scene
 from nerf.truths import Truths
@@ -80,6 +80,12 @@ class Run:
         """The run's scene, its prior as the check leaves it; what was prepared already is used again."""
         return self.checked.scene
 
+    @property
+    def disk_told(self) -> str | None:
+        """The line that says what disk the scene is going to take; None where that is little."""
+        prior = None if self.config.prior is None else open_guide(self.config.prior)
+        return disk_told(self.drive, prior, self.config.scene, self.folder.parent / SCENES)
+
     @cached_property
     def checked(self) -> Checked:
         """The run's scene, and what was found of its prior."""
@@ -93,12 +99,15 @@ class Run:
         needed = not fields.is_trained(self.config.fit.model.family)
         return check(scene, needed, sweeps_of(self.drive, scene.ids))
 
-    def fit(self, device: str = "auto", on_step: OnStep = lambda status: None) -> Model:
+    def fit(
+        self, device: str = "auto", on_step: OnStep = lambda status: None, elsewhere: "FitElsewhere | None" = None
+    ) -> Model:
         """Train until the budget is spent, or go on where the run was left; see nerf.fit.fit.
 
         Args:
             device: cpu, cuda, or auto: a GPU where there is one.
             on_step: called after each step.
+            elsewhere: fits the run's blocks by other processes (nerf/blocks_on_ray.py); None: here.
 
         Raises:
             DataError: another process fits this run, or see nerf.fit.fit.
@@ -108,8 +117,11 @@ class Run:
             config = replace(self.config, finding=None if found is None else asdict(found))
             write(self.folder, config)  # of two that began at once, the one that trains has described the run
             cameras.keep(self.folder, self.scene)
-            device = pick_device(device)
-            model = fit(self.scene, self.config.fit, self.folder, on_step, device, lambda: claim.lost)
+            if elsewhere is None:
+                model = fit(self.scene, self.config.fit, self.folder, on_step, pick_device(device), lambda: claim.lost)
+            else:
+                elsewhere(self, device, on_step)
+                model = checkpoint.open_model(self.folder, pick_device(device))
         return PlacedModel(model, self.scene.origin_m)
 
     @contextmanager
@@ -188,6 +200,10 @@ class Run:
         path = self.folder / "metrics.json"
         before = Report.load(path).info if path.exists() else {}
         return before if "command" in before else {"name": self.name, "config": asdict(self.config)}
+
+
+FitElsewhere: TypeAlias = Callable[[Run, str, OnStep], None]
+"""Fits the blocks of a run, on a device, and tells of steps; returns when all are done."""
 
 
 def begin(

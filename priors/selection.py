@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.errors import DataError, UsageError, expect
-from priors.types import Frame
+from priors.types import Drive, Frame
 
 Item = TypeVar("Item")
 
@@ -145,8 +145,7 @@ class MotionGate:
         if self.min_motion_m <= 0:
             return None
         if frame.T_world_cam is None:
-            why = frame.missing.get("pose", "this drive has none")
-            raise DataError(f"frame {frame.id}: --min-motion needs poses: {why}: leave it out")
+            raise DataError(f"frame {frame.id}: --min-motion needs poses: {frame.why_unplaced()}: leave it out")
         position_m = frame.T_world_cam[:3, 3]
         if self.last_m is not None:
             moved_m = float(np.linalg.norm(position_m - self.last_m))
@@ -154,3 +153,14 @@ class MotionGate:
                 return f"stood still: moved {moved_m:.2f} m"
         self.last_m = position_m
         return None
+
+
+def first_readable(drive: Drive) -> Frame:
+    """Return the first frame that can be opened; the last frame's DataError where none can."""
+    reason = DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
+    for index in range(len(drive)):
+        try:
+            return drive[index]
+        except DataError as error:
+            reason = error
+    raise reason

@@ -19,8 +19,8 @@ from hypothesis import strategies as st
 
 from priors.drives import DriveOptions, open_drive, reopen
 from priors.drives._argoverse1_calibration import LogCalibration
+from priors.drives._by_time import nearest
 from priors.drives._ply import read_ply
-from priors.drives.argoverse1 import nearest
 from priors.errors import DataError
 from priors.geometry import convert_disparity, invert, transform
 from priors.types import Frame

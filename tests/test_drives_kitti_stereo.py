@@ -59,9 +59,17 @@ def test_colour_of_2012_has_truth_where_it_is_named(tmp_path: Path) -> None:
     options = DriveOptions(camera="colored_0")
     drive = open_drive(split, options=options)
     assert drive.name == "kitti_stereo2012_training-colored_0" and drive[0].image().ndim == 3
-    with pytest.raises(DataError, match=r"truth of 2012 is of the grey camera: name it, --truth .*disp_occ"):
+    offer = r"grey camera, 6 cm to the right: choose --camera image_0, or take it as it is: --truth .*disp_occ$"
+    with pytest.raises(DataError, match=offer):
         drive[0].truth()
-    assert open_drive(split, options=replace(options, truth=split / "disp_occ"))[1].has("truth")
+    assert not drive.notes() and not open_drive(split).notes()  # the grey camera's own
+    named = open_drive(split, options=replace(options, truth=split / "disp_occ"))
+    assert named[1].has("truth")
+    aside_px = 45 * 0.06 / BASELINE_M
+    assert (
+        f"of image_0, which stands 6 cm to the right: a point of 45 px of disparity lies {aside_px:.1f} px"
+        in (named.notes()[0])
+    )
 
 
 def test_calibration_of_the_other_download_and_one_for_all(tmp_path: Path) -> None:
@@ -93,7 +101,7 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     drive = open_drive(split)
     with pytest.raises(DataError, match=r"disp_occ_0: no map 000001_10\.png"):
         drive[1].truth()
-    with pytest.raises(DataError, match=r"image_3: no image 000001_10: stereo needs both cameras"):
+    with pytest.raises(DataError, match=r"image_3: no image 000001_10: stereo needs both: download the pairs again"):
         drive[1].other()
     with pytest.raises(DataError, match="stereo benchmark has no sweeps"):
         drive[0].sweep()

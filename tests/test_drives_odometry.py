@@ -72,6 +72,17 @@ def test_velodyne_without_tr_says_where_to_get_it(tmp_path: Path) -> None:
         frame.sweep()
 
 
+def test_a_damaged_tr_stops_the_sweeps_alone(tmp_path: Path) -> None:
+    write_odometry(tmp_path)
+    calib = tmp_path / "sequences" / "06" / "calib.txt"
+    lines = calib.read_text().splitlines(True)
+    calib.write_text("".join(" ".join(line.split()[:9]) + "\n" if line.startswith("Tr") else line for line in lines))
+    frame = open_drive(tmp_path)[0]
+    assert frame.other().shape == frame.image().shape and frame.T_world_cam is not None
+    with pytest.raises(DataError, match=r"calib\.txt: Tr should be 12 finite numbers"):
+        frame.sweep()
+
+
 def test_several_sequences_need_a_name(odometry_root: Path) -> None:
     write_odometry(odometry_root, sequence="07")
     with pytest.raises(DataError, match=r"holds 2 drives: choose with --drive 06"):

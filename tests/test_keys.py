@@ -51,10 +51,10 @@ KNOWN = {
 }
 PINNED = {
     "completion": "673932937f",
-    "fused": "03255d1cf2",
+    "fused": "097ea992e9",
     "lidar": "b9b776c9ee",
-    "mono": "106892ed54",
-    "stereo": "40ad1de7c7",
+    "mono": "76152fe3bd",
+    "stereo": "a3edb4fd4d",
 }
 
 

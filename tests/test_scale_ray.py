@@ -1,8 +1,10 @@
 """Builds on a Ray cluster: the local engine's maps, whatever dies; and what cannot be begun is told in a line."""
 
+import errno
 import json
 import os
 import pickle
+import socket
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -11,19 +13,27 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
+import torch
 from factories import write_as_folder
+from nerf_commands import nerf
+from safetensors.torch import load_file
 
 from cli.priors import PROGRAM
-from nerf import study_on_ray
+from nerf import blocks_on_ray, study_on_ray
+from nerf.blocks import part, parts_of
 from nerf.config import FitConfig
+from nerf.run import OWNER, open_run
 from nerf.study import FitRunner, RunSpec, Study
-from priors import build, drives, methods
-from priors.errors import DataError
+from priors import build, drives
+from priors.cache import Prior
+from priors.errors import DataError, UsageError
 from priors.filters import Filters
 from priors.methods.completion import Completion
+from priors.owner.process import me
 from priors.scale import ray_session, scoring
 from priors.scale.crew import Builder, Stretch, plan_drive
 from priors.scale.drive_list import DriveEntry
+from priors.scale.here import build_here
 from priors.scale.order import Order
 from priors.scale.ray_session import Share, session, slots
 from priors.scale.tally import Part, Tally
@@ -33,30 +43,18 @@ from priors.selection import Selection
 from priors.street.write import write_street
 from priors.types import Method
 
-pytestmark = pytest.mark.cluster
-FLEET = Path(__file__).parent / "fleet"
+pytestmark = [pytest.mark.cluster, pytest.mark.usefixtures("fleet_choices")]
 FRAMES, DEADLY, BROKEN = 10, "000003", "000007"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def extended() -> Iterator[None]:
-    """The methods and drives of tests/fleet are choices here, as ROADPRIOR_EXTENSIONS makes them elsewhere."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROADPRIOR_EXTENSIONS", str(FLEET))
-        patch.setattr(methods, "__path__", [*methods.__path__, str(FLEET / "methods")])
-        patch.setattr(drives, "__path__", [*drives.__path__, str(FLEET / "drives")])
-        yield
-
-
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    """Two cores of this machine as a Ray cluster, for all tests of this file."""
+def cluster(fleet_choices: None) -> Iterator[Any]:
+    """Two cores of this machine as a Ray cluster, for all tests of this file; its processes have our environment."""
     if os.environ.get("ROADPRIOR_CLUSTER") != "required":
         pytest.importorskip("ray")
     ray = ray_session.import_ray()
-    passed = {"ROADPRIOR_EXTENSIONS": str(FLEET), "PYTHONPATH": str(FLEET.parents[1])}
-    given = {"log_to_driver": False, "logging_level": 40, "runtime_env": {"env_vars": passed}}
-    ray.init(num_cpus=2, include_dashboard=False, object_store_memory=100 * 2**20, **given)
+    given = {"log_to_driver": False, "logging_level": 40}
+    ray.init("local", num_cpus=2, include_dashboard=False, object_store_memory=100 * 2**20, **given)
     yield ray
     ray.shutdown()
 
@@ -102,8 +100,9 @@ def test_a_cluster_makes_the_same_maps_and_outlives_what_kills_its_processes(
     build_on_ray(orders, 1, lambda part: tallies[part.drive].add(part), Share(1))
 
     assert maps(tmp_path / "cache") == maps(tmp_path / "local")
-    assert [(each.cached, each.built, each.done) for each in tallies] == [(3, 5, 7), (0, 8, 10)]
-    for each in tallies:
+    made = [tally.part for tally in tallies]
+    assert [(each.cached, each.built, each.done) for each in made] == [(3, 5, 7), (0, 8, 10)]
+    for each in made:
         assert sorted(each.failed) == [DEADLY, BROKEN]
         assert "3 processes died with it" in each.failed[DEADLY]
         assert "ZeroDivisionError: by what the image shows" in each.failed[BROKEN]
@@ -158,6 +157,40 @@ def test_a_study_on_a_cluster_makes_every_run_once(
         assert made[0].fresh is fresh and made[1].error == "3 processes died with it"
 
 
+def test_blocks_on_a_cluster_are_the_bits_of_one_process(
+    cluster: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """They go on where a run was left, and the claim of a process that died is taken over; no task is for what is done.
+
+    A block that cannot be fitted is told in a line, and the others are fitted.
+    """
+    write_street(tmp_path / "street", 20, 7, (32, 96))
+    words = ["fit", tmp_path / "street", "--blocks", 9, "--rays", 64, "--device", "cpu", "--threads", 1]
+    far = ["--engine", "ray", "--cpus-per-worker", 1]
+
+    def fitted(name: str, steps: int, *more: object) -> int:
+        return nerf(*words, "--steps", steps, "--run", tmp_path / "runs" / name, *more)
+
+    def weights(name: str) -> list[dict[str, torch.Tensor]]:
+        return [load_file(each / "checkpoint.safetensors") for each in parts_of(tmp_path / "runs" / name)]
+
+    assert fitted("here", 1) == 0 == fitted("there", 1)
+    (part(tmp_path / "runs" / "there", 0) / OWNER).write_text(json.dumps({"token": "x", **me(2**22 - 1).record()}))
+    assert fitted("here", 3) == 0 == fitted("there", 3, *far)
+    here, there = weights("here"), weights("there")
+    assert len(here) == len(there) >= 2
+    for one, other in zip(here, there, strict=True):
+        assert one.keys() == other.keys() and all(torch.equal(one[name], other[name]) for name in one)
+    assert (tmp_path / "runs" / "there" / "metrics.json").exists()
+
+    damaged = part(tmp_path / "runs" / "there", 1) / "checkpoint.safetensors"
+    damaged.write_bytes(b"no checkpoint")
+    monkeypatch.setattr(blocks_on_ray, "is_done", lambda folder, config, number: False)
+    run = open_run(tmp_path / "runs" / "there")
+    with pytest.raises(DataError, match=r"1 of \d+ blocks are not fitted, the first is block 1: .*damaged checkpoint"):
+        blocks_on_ray.RayBlocks(cluster, Share(1))(run, "cpu", lambda status: None)
+
+
 def test_what_a_process_does_needs_no_engine(fleet: list[Path], tmp_path: Path) -> None:
     """A stretch that is given twice, as after a kill, is computed once; a drive that is gone is told by its frames."""
     orders = [order(fleet[0], fragile(), tmp_path / "cache")]
@@ -173,6 +206,27 @@ def test_what_a_process_does_needs_no_engine(fleet: list[Path], tmp_path: Path) 
     lost = Builder(orders, 1, 1)(stretches[0])
     assert lost.done == len(lost.failed) == 4
     assert [part.error for part in plan_drive(0, orders[0], 4) if isinstance(part, Part)] != [""]
+
+
+def test_what_was_built_before_the_disk_was_full_counts(
+    fleet: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The drive's error is told with it, and the other drive is built."""
+    write = Prior.write
+
+    def full(prior: Prior, frame_id: str, *rest: Any) -> Any:
+        if frame_id == BROKEN and prior.folder.parent.name == "one":
+            raise OSError(errno.ENOSPC, "No space left on device", str(prior.folder))
+        return write(prior, frame_id, *rest)
+
+    monkeypatch.setattr(Prior, "write", full)
+    tallies = [Tally(drive.name, str(drive)) for drive in fleet]
+    orders = [order(drive, fragile(), tmp_path / "cache") for drive in fleet]
+    build_here(orders, 1, lambda part: tallies[part.drive].add(part))
+    one, two = (tally.part for tally in tallies)
+    assert "No space left on device" in one.error and one.left > 0
+    assert one.built == len(list(Path(one.folder).glob("depth/*.png"))) >= int(BROKEN)
+    assert (two.built, two.error) == (FRAMES, "")
 
 
 def test_a_command_builds_many_drives(street: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -202,12 +256,24 @@ def test_without_ray_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_no_cluster_at_the_address_is_one_line() -> None:
+    """Where nothing listens Ray is not asked: it would wait for minutes."""
+
     def refuse(**_: Any) -> None:
         raise ConnectionError("could not find any running Ray instance\nmore lines")
 
-    ray = SimpleNamespace(init=refuse)
-    with pytest.raises(DataError, match=r"^--address auto: no cluster there: `ray start` begins one$"):
-        ray_session._connect(ray, "auto")  # type: ignore[arg-type]
+    ray: Any = SimpleNamespace(init=refuse)
+    with pytest.raises(DataError, match=r"^--address auto: no cluster there: `ray start --head` begins one$"):
+        ray_session._connect(ray, "auto")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        nobody = f"127.0.0.1:{free.getsockname()[1]}"
+    unasked: Any = SimpleNamespace(init=lambda **_: pytest.fail("Ray was asked"))
+    for address in (nobody, f"ray://{nobody}"):
+        with pytest.raises(DataError, match=r"no cluster there: .*[Rr]efused"):
+            ray_session._connect(unasked, address)
+    for address in ("here", "127.0.0.1", "127.0.0.1:x", ":6379"):
+        with pytest.raises(UsageError, match="expected auto, HOST:PORT or ray://HOST:PORT"):
+            ray_session._connect(unasked, address)
 
 
 def test_a_share_that_no_node_has_is_refused() -> None:

@@ -9,6 +9,7 @@ import tyro
 from cli.arguments import Device, SequenceArguments, ThreadArguments, parse
 from cli.console import busy, err, fit_progress, out, progress
 from cli.durations import seconds
+from cli.engine import EngineArguments
 from cli.nerf.eval import LpipsArguments, print_tables
 from cli.nerf.sources import open_sources
 from cli.nerf.together import together
@@ -41,6 +42,7 @@ examples:
   nerf fit street/ --prior cache/DRIVE/lidar-KEY --loss kl --depth-weight 0.01
   nerf fit street/ --prior cache/DRIVE/stereo-KEY --field nerfpp --steps 3000 --run runs/npp
   nerf fit kitti/ --drive 2011_09_26_drive_0009_sync --blocks 60                     a field every 60 m
+  nerf fit kitti/ --drive 2011_09_26_drive_0009_sync --blocks 60 --engine ray        blocks on a Ray cluster
   torchrun --nproc-per-node 4 -m cli.nerf -- fit street/ --prior cache/ --rays 256   four processes, one field
 """
 
@@ -80,6 +82,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
     blocks: float | None = None
     """Cut a long drive into blocks of about so many metres of its path: a field each, with the whole budget each, which
     views blend."""
+    engine: tyro.conf.OmitArgPrefixes[EngineArguments] = field(default_factory=EngineArguments)
     device: Device = "auto"
     """Where to train and render; auto: a GPU where there is one."""
     run: Path | None = None
@@ -95,6 +98,8 @@ class FitArguments(ThreadArguments, SequenceArguments):
     def __post_init__(self) -> None:
         super().__post_init__()
         self.config(), self.scene()
+        if self.engine.engine == "ray" and self.blocks is None:
+            raise UsageError("--engine ray: gives out the blocks of a drive: add --blocks 60, or leave this out")
 
     def scene(self) -> SceneConfig:
         """Return which frames are used, and what of the prior."""
@@ -127,6 +132,8 @@ def run(arguments: list[str]) -> int:
 def _fit(args: FitArguments, typed: list[str]) -> int:
     if args.prior is None and not fields.is_trained(args.family):
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
+    if args.engine.engine == "ray" and here().size > 1:
+        raise UsageError("--engine ray: starts its own processes: leave torchrun out, or this")
     for setting, value in fields.unread(args.config()).items():
         raise UsageError(f"{f'{setting} {value}'.strip()}: --field {args.family} does not read it: leave it out")
     with busy("looking at the drive and its priors"):
@@ -136,6 +143,8 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
         folder = RUNS / f"{args.sequence}-{RunConfig.of(drive, prior, scene, config).title}"
     with leader_first():  # it makes the folder and the scene's arrays, which the others find
         this_run = begin(drive, prior, scene, config, folder, progress)
+        if (line := this_run.disk_told) is not None:
+            err.print(line)
         _ = this_run.scene
     with this_run.held():
         return _fit_and_score(args, this_run)
@@ -149,8 +158,8 @@ def _fit_and_score(args: FitArguments, this_run: Run) -> int:
     prior = this_run.config.prior
     for line in [] if finding is None else finding.told(None if prior is None else Path(prior).name):
         err.print(line)
-    with fit_progress("training") as on_step:
-        this_run.fit(args.device, on_step)
+    with args.engine.elsewhere() as elsewhere, fit_progress("training") as on_step:
+        this_run.fit(args.device, on_step, elsewhere)
     if fields.is_trained(args.family) and before.step == checkpoint.spent(this_run.folder).step:
         err.print(f"trained before, {before.step} steps: a longer --time or --steps goes on, another --run begins anew")
     if not here().leads:

@@ -11,6 +11,7 @@ PROGRAM = Program(
         "eval": "score cached maps against the drive's truth",
         "report": "write one page: tables, pictures to compare by a slider, plots",
         "show": "write pictures: image, depth, error and confidence side by side",
+        "video": "write a video: images and depth over a drive, side by side",
         "view": "look at a drive and its priors in 3D, live in a browser",
         "export": "write a prior for nerfstudio, COLMAP, 3DGS, KITTI; as PLY; a network as ONNX",
         "list": "list what a cache holds",

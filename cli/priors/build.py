@@ -18,7 +18,7 @@ from cli.priors.left_open import LeftOpen, idle_flags, method_of
 from cli.priors.many import Asked, build_many, is_asked
 from priors import build, methods
 from priors.bench.budget import Budget
-from priors.build import BuildReport, Job, Plan
+from priors.build import BuildReport, Job, Plan, room
 from priors.build.chains import MOST
 from priors.build.temporal import MOST as MOST_NEIGHBOURS
 from priors.cache import load
@@ -119,6 +119,8 @@ def _build(args: BuildArguments, typed: list[str]) -> int:
         return _build_many(args, typed)
     with busy("looking at the drive"):
         job, plan = _prepare(args, typed)
+    if (line := room.told(job.prior, len(plan.todo))) is not None:
+        err.print(line)
     if args.dry_run:
         _print_plan(job, plan)
         return 0

@@ -16,16 +16,18 @@ from cli.written import expect_file
 from eval import table
 from eval.curves import Curves
 from eval.protocol import PRESETS, Protocol, preset
+from eval.reliability import Reliability
 from eval.result import Result
 from priors import cache
 from priors.cache import Prior
 from priors.draw import figure, lines
 from priors.errors import DataError, UsageError, expect
 from priors.naming import labels
+from priors.reliability import only_held_back, reliabilities
 from priors.report.frames import frames_wipe
 from priors.report.page import SUFFIX
 from priors.report.sample import Sample
-from priors.report.scores import DriveScores, scores_page, sparsification
+from priors.report.scores import DriveScores, reliability_plots, scores_page, sparsification
 from priors.score import Score, Scorer, pair, score_pairs
 from priors.selection import parse_range, select
 from priors.types import Drive
@@ -38,6 +40,8 @@ examples:
   priors eval cache/ --protocol garg --frames 5:17 --save table.md
   priors eval cache/ --save report.html                      a page with table, plots and pictures
   priors eval cache/DRIVE/stereo-KEY --truth KITTI/depth --ranges --curves curves.svg
+  priors eval cache/ --reliability reliability.png           is what is 90 % sure right nine times of ten?
+  priors eval cache/ --held-back                             on frames that no network of ours was trained on
   priors eval cache/ --temporal                              how steady the maps are from frame to frame
   priors eval cache/ --against cache/DRIVE/lidar-KEY         another prior as truth
   priors eval cache/ --engine ray --address auto             frames are scored on a Ray cluster
@@ -63,6 +67,8 @@ class ScoreArguments:
     """Mean of the frames' figures or one figure over all pixels, instead of what the protocol says."""
     frames: str | None = None
     """Score only this range of frames, a:b."""
+    held_back: bool = False
+    """Score only frames that no network of ours was trained on: docs/training.md names them."""
     truth: Path | None = None
     """Folder with KITTI depth maps, where the build was not told."""
     data: Path | None = None
@@ -79,16 +85,19 @@ class ScoreArguments:
     """Also print AbsRel and RMSE by true distance."""
     curves: Path | None = None
     """Also plot the sparsification curves of priors with a confidence: .png, .svg or .pdf."""
+    reliability: Path | None = None
+    """Also plot, for each stated probability, the share of values that is right: .png, .svg or .pdf."""
     save: tuple[Path, ...] = ()
     """Also write the table: .md, .tex, .csv, .txt, or .html, a report page; as many as wanted."""
     engine: tyro.conf.OmitArgPrefixes[EngineArguments] = field(default_factory=EngineArguments)
 
     def __post_init__(self) -> None:
-        if self.engine.engine == "ray" and (self.page or self.curves is not None):
-            flag = "--save .html" if self.page else "--curves"
+        if self.engine.engine == "ray" and (self.page or self.curves is not None or self.reliability is not None):
+            flag = "--save .html" if self.page else "--curves" if self.curves is not None else "--reliability"
             raise UsageError(f"{flag}: needs all pixels in one process: leave it out, or --engine ray")
-        if self.curves is not None:
-            figure.check_name(self.curves)
+        for path in (self.curves, self.reliability):
+            if path is not None:
+                figure.check_name(path)
         parse_range(self.frames)
         for name in self.metrics or ():
             _metric(name)
@@ -97,8 +106,9 @@ class ScoreArguments:
         """Raise UsageError where a file that is asked for cannot be written."""
         for path in self.save:
             expect_file("--save", path, (*table.WRITERS, SUFFIX))
-        if self.curves is not None:
-            expect_file("--curves", self.curves)
+        for flag, picture in (("--curves", self.curves), ("--reliability", self.reliability)):
+            if picture is not None:
+                expect_file(flag, picture)
 
     @property
     def keys(self) -> list[str] | None:
@@ -130,11 +140,11 @@ class Output:
         if self.args.ranges:
             _print_ranges(scored.results)
         if self.args.curves is not None and scored.curves:
-            path = self._place(self.args.curves, scored.drive)
             plots = [plot for name, drawn in scored.curves.items() for plot in sparsification(name, drawn)]
-            with busy("plots"):
-                lines.write(path, plots, max(map(len, scored.curves.values())))
-            out.print(f"wrote {path}")
+            self._plot(self.args.curves, scored.drive, plots, max(map(len, scored.curves.values())))
+        if self.args.reliability is not None and scored.reliability:
+            plots = [plot for name, made in scored.reliability.items() for plot in reliability_plots(name, made)]
+            self._plot(self.args.reliability, scored.drive, plots, min(len(plots), 4))
 
     def save(self, drives: Sequence[DriveScores]) -> None:
         """Write one file of each format that was asked for, with the tables of all drives."""
@@ -145,6 +155,13 @@ class Output:
             else:
                 table.save([(scored.drive, scored.results) for scored in drives], path, self.args.keys)
             out.print(f"wrote {path}")
+
+    def _plot(self, asked: Path, drive: str, plots: Sequence[lines.Plot], columns: int) -> None:
+        """Write plots of one drive."""
+        path = self._place(asked, drive)
+        with busy("plots"):
+            lines.write(path, plots, columns)
+        out.print(f"wrote {path}")
 
     def _place(self, path: Path, drive: str) -> Path:
         """Return where a file of a drive goes."""
@@ -230,6 +247,9 @@ def _score_drive(priors: list[Prior], drive_name: str, args: ScoreArguments, sco
                 best = _best_share(one)
             out.print(f"{name}: {best}")
             out.print(f"{name}: {_areas(scored.curves[name])}")
+        if args.reliability is not None:
+            for line in _calibration(scored.reliability.get(name, [])):
+                out.print(f"{name}: {line}")
     if not scored.results:
         raise DataError(f"none of its {len(names)} priors can be scored, the first: {scored.left_out[names[0]]}")
     if args.page:
@@ -245,7 +265,9 @@ def score_prior(
     """Score one of the priors, and note its result, its curves, and what had to be left out."""
     prior = scored.priors[name]
     pairs = pair(prior, drive, args.frames, None if args.against is None else cache.only(args.against))
-    pairs = replace(pairs, scorer=scorer)
+    pairs = replace(only_held_back(pairs) if args.held_back else pairs, scorer=scorer)
+    if not pairs.ids:
+        raise DataError(f"{prior.folder}: --held-back: none of its frames is held back from training")
     with progress(name, len(pairs)) as step:
         one = score_pairs(pairs, _protocol(args), name, args.page or args.curves is not None, step, args.temporal)
     scored.results.append(one.result)
@@ -255,6 +277,11 @@ def score_prior(
     if one.pixels is not None:
         with busy(f"sparsification curves of {name}"):
             scored.curves[name] = one.curves()
+    if args.page or args.reliability is not None:
+        with busy(f"reliability of {name}"):
+            made = reliabilities(pairs, one.result.protocol)
+        if made:
+            scored.reliability[name] = made
     return one
 
 
@@ -280,6 +307,14 @@ def _areas(curves: Sequence[Curves]) -> str:
         for curve in curves
     ]
     return f"AUSE {', '.join(texts)}"
+
+
+def _calibration(made: Sequence[Reliability]) -> list[str]:
+    """Say what each probability states and what came true."""
+    return [
+        f"within {one.within} it says {one.says:.3f}, {one.is_right:.3f} is right; calibration error {one.error:.3f}"
+        for one in made
+    ] or ["states no probability"]
 
 
 def _best_share(score: Score) -> str:

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
+from operator import add
 from pathlib import Path
 
 from rich.box import SIMPLE_HEAD
@@ -83,7 +85,7 @@ def build_many(asked: Asked, choose: Choose) -> int:
         _complain(member)
     _print(tallies)
     for place, why in refused.items():
-        tallies.append(Tally(Path(place).name, place, error=why))
+        tallies.append(Tally(Path(place).name, place, Part(0, error=why)))
     out.print(f"wrote {write_summary(asked.cache, asked.command, tallies)}")
     return 0 if all(tally.is_whole for tally in tallies) else DATA_ERROR
 
@@ -104,14 +106,15 @@ def _build(asked: Asked, fleet: Fleet) -> list[Tally]:
 
 
 def _complain(tally: Tally) -> None:
-    if tally.error:
-        err.complain(tally.error, tally.place)
-    for frame_id, why in list(tally.failed.items())[:MOST_ROWS]:
+    part = tally.part
+    if part.error:
+        err.complain(part.error, tally.place)
+    for frame_id, why in list(part.failed.items())[:MOST_ROWS]:
         err.complain(why.removeprefix(f"frame {frame_id}: "), f"{tally.place}, frame {frame_id}")
-    if len(tally.failed) > MOST_ROWS:
-        err.complain(f"{len(tally.failed) - MOST_ROWS} more frames failed: summary.json names them", tally.place)
-    if tally.done < tally.todo:
-        err.complain(f"{tally.todo - tally.done} frames were not reached: run the same command again", tally.place)
+    if len(part.failed) > MOST_ROWS:
+        err.complain(f"{len(part.failed) - MOST_ROWS} more frames failed: summary.json names them", tally.place)
+    if part.left:
+        err.complain(f"{part.left} frames were not reached: run the same command again", tally.place)
 
 
 def _print(tallies: Sequence[Tally]) -> None:
@@ -122,24 +125,18 @@ def _print(tallies: Sequence[Tally]) -> None:
         table.add_column(heading, justify="right")
     shown = sorted(tallies, key=lambda tally: tally.is_whole)[:MOST_ROWS] if len(tallies) > MOST_ROWS else tallies
     for tally in shown:
-        table.add_row(tally.name, *_cells(tally))
+        table.add_row(tally.name, *_cells(tally.part, len(tally.part.failed)))
     if len(tallies) > len(shown):
         table.add_row(f"... and {len(tallies) - len(shown)} more")
     if len(tallies) > 1:
-        table.add_row("all", *_cells(_total(tallies)))
+        parts = [tally.part for tally in tallies]
+        table.add_row("all", *_cells(reduce(add, parts), sum(len(part.failed) for part in parts)))
     out.print(table)
 
 
-def _total(tallies: Sequence[Tally]) -> Tally:
-    total = Tally("all", "")
-    for tally in tallies:
-        total.add(Part(0, "", tally.todo, tally.cached, tally.skipped, tally.done, tally.built, tally.seconds))
-        total.density += tally.density
-        total.failed.update({f"{tally.place} {frame_id}": why for frame_id, why in tally.failed.items()})
-    return total
-
-
-def _cells(tally: Tally) -> list[str]:
-    seconds = f"{tally.seconds / tally.built:.3f}" if tally.built else "-"
-    density = f"{tally.density / tally.built:.1%}" if tally.built else "-"
-    return [*map(str, (tally.built, tally.cached, tally.skipped, len(tally.failed))), seconds, density]
+def _cells(part: Part, failed: int) -> list[str]:
+    """Return a row's cells; `failed` frames: ids of several drives may be the same."""
+    means = part.means()
+    seconds, density = means["seconds"], means["density"]
+    counts = map(str, (part.built, part.cached, part.skipped, failed))
+    return [*counts, "-" if seconds is None else f"{seconds:.3f}", "-" if density is None else f"{density:.1%}"]

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Any
 
 from priors import cache
+from priors.build import room
 from priors.build.chains import Chains
 from priors.build.decided import ENTRY
 from priors.build.plan import Judge, Plan, make_plan
@@ -93,6 +94,9 @@ class Job:
             workers: frames computed at the same time.
             on_frame: told the id of each frame when it is done or has failed.
             on_note: told what the method does before the first frame, a line at a time.
+
+        Raises:
+            DataError: the cache's disk is too small.
         """
         expect(workers >= 1, "--workers", workers, "1 or more")
         plan = self.plan() if plan is None else plan
@@ -100,6 +104,7 @@ class Job:
         if not plan.todo:
             self.end()
             return BuildReport(self.prior, plan, failed=dict(plan.failed))
+        self.expect_room(plan)
         for note in self.method.notes():
             on_note(note)
         with threads.limited(threads.count()):
@@ -108,6 +113,10 @@ class Job:
         built = sorted(work.built, key=lambda line: str(line["id"]))
         failed = {**plan.failed, **work.failed}
         return BuildReport(self.prior, plan, built, failed, sorted(work.left), sorted(work.carried))
+
+    def expect_room(self, plan: Plan) -> None:
+        """Raise DataError where the cache's disk is too small for the maps of a plan."""
+        room.expect_room(self.prior, len(plan.todo))
 
     def begin(self, on_frame: Callable[[str], None], on_note: Callable[[str], None]) -> Work:
         """Make all ready for the first frame: what the method learns from the drive, and the prior's folder."""

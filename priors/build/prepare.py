@@ -18,6 +18,7 @@ from priors.cache.store import mirror, store_of
 from priors.errors import DataError
 from priors.filters import Filters
 from priors.records import record
+from priors.selection import first_readable
 from priors.sky import VERSION as SKY_VERSION
 from priors.types import Drive, Frame, Input, Method
 
@@ -48,7 +49,7 @@ def prepare(
     filters = filters or Filters()
     _check_names(drive)
     folder = _here(folder, drive.name)
-    frame = _first_readable(drive)
+    frame = first_readable(drive)
     check_reuse(reuse, method, frame)
     home = folder / drive.name
     fingerprint = drive.fingerprint()
@@ -117,17 +118,6 @@ def _has_lost_manifest(prior: Prior) -> bool:
     except DataError:
         return bool(prior.ids())
     return False
-
-
-def _first_readable(drive: Drive) -> Frame:
-    """Return the first frame that can be opened; the last error where none can."""
-    reason = DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
-    for index in range(len(drive)):
-        try:
-            return drive[index]
-        except DataError as error:
-            reason = error
-    raise reason
 
 
 def _maps_digest(frame: Frame, reads: set[Input]) -> str | None:

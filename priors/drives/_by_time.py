@@ -1,7 +1,7 @@
-"""By time: files whose names end in a time, what is nearest to a moment, and a pose between two others."""
+"""Files by time: names that end in a time, the file nearest to a moment, and a pose between two others."""
 
 from bisect import bisect_left
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -37,6 +37,21 @@ def beside(times: Sequence[int], time: int, within: int, offset: int) -> int | N
         return None
     index = bisect_left(times, first) + offset
     return times[index] if 0 <= index < len(times) else None
+
+
+def at_time(times: Sequence[int], pose: Callable[[int], Matrix], time: int, within: int) -> Matrix | None:
+    """Return the pose (4, 4) at a time, by those at the sorted times: `pose(i)` is the one at times[i].
+
+    Between two it is interpolated. It is None before the first, after the last, and between two that are farther apart
+    than `within`.
+    """
+    after = bisect_left(times, time)
+    if after < len(times) and times[after] == time:
+        return pose(after)
+    if not 0 < after < len(times) or times[after] - times[after - 1] > within:
+        return None
+    share = (time - times[after - 1]) / (times[after] - times[after - 1])
+    return between(pose(after - 1), pose(after), share)
 
 
 def between(T_world_a: Matrix, T_world_b: Matrix, share: float) -> Matrix:

@@ -51,20 +51,21 @@ class TimedDrive(CameraDrive):
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that have a partner and a sweep near enough in time, and truth, for the audit."""
-        near = {"other": (self._partner_times, self.near_other), "sweep": (self._sweep_times, self.near_sweep)}
-        return {
+        kinds = {"other": (self._partner_times, self.near_other), "sweep": (self._sweep_times, self.near_sweep)}
+        near = {
             what: [id_ for id_ in self.ids if nearest(times, int(id_), within) is not None]
-            for what, (times, within) in near.items()
+            for what, (times, within) in kinds.items()
         }
+        return super().scans() | near
 
     def readers(self, id_: str) -> Readers:
         """Return what can be read of a frame; images are rectified, what is near in time belongs to the frame."""
         time = int(id_)
-        readers: Readers = {"image": partial(_read_rectified, self.images[id_], self.rectified)}
+        readers = super().readers(id_) | {"image": partial(_read_rectified, self.images[id_], self.rectified)}
         other = nearest(self._partner_times, time, self.near_other)
         if other is not None and self.partner_rectified is not None:
             readers["other"] = partial(_read_rectified, self.partner_images[other], self.partner_rectified)
-        if self.sweeps:
+        if self.sweeps and self.rectified.T_ego_cam is not None:
             readers["sweep"] = lambda offset=0: self._read_sweep(time, offset)
         return readers
 
@@ -72,11 +73,11 @@ class TimedDrive(CameraDrive):
         """Return which file each reader reads."""
         time = int(id_)
         other = nearest(self._partner_times, time, self.near_other)
-        return {
-            "image": partial(self.images.get, id_),
+        near: Files = {
             "other": lambda: None if other is None else self.partner_images[other],
             "sweep": lambda offset=0: self._sweep_file(time, offset),
         }
+        return super().files(id_) | near
 
     def T_world_cam(self, id_: str) -> Matrix | None:
         """Return the camera's pose; None where the vehicle's is not known at the image's time."""

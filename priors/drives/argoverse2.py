@@ -16,14 +16,13 @@ Quirks kept here (the data set's guide and av2-api: pinhole_camera.py, io.py):
 - The stereo cameras are turned to rows by their calibration when they are read, whether they were so before or not.
 """
 
-from bisect import bisect_left
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
 from priors.drives import DriveOptions
-from priors.drives._by_time import between, by_time
+from priors.drives._by_time import at_time, by_time
 from priors.drives._feather import read_feather
 from priors.drives._files import IMAGE_SUFFIXES, check_baseline, choose, search
 from priors.drives._points import only_points
@@ -96,7 +95,7 @@ class Argoverse2(TimedDrive):
         """Say why a reader is not there, and what to do."""
         other = f"ring cameras have no partner: stereo needs --camera {PAIR[0]}"
         if self.partner is not None:
-            other = f"{self._cameras / self.partner}: no image within 10 ms of {id_}: stereo needs both cameras"
+            other = f"{self._cameras / self.partner}: no image within 10 ms of {id_}: stereo needs both: download it"
         truth = "Argoverse 2 has no depth maps: score against the LiDAR (`priors eval --against`)"
         reasons = {
             "other": other,
@@ -110,15 +109,7 @@ class Argoverse2(TimedDrive):
 
     def T_world_ego(self, time: int) -> Matrix | None:
         """Return the vehicle's pose at a time in ns: stored, or interpolated between the poses around; else None."""
-        after = bisect_left(self._pose_times, time)
-        if after < len(self._pose_times) and self._pose_times[after] == time:
-            return self._pose(after)
-        if not 0 < after < len(self._pose_times):
-            return None
-        first, last = self._pose_times[after - 1], self._pose_times[after]
-        if last - first > POSE_GAP_NS:
-            return None
-        return between(self._pose(after - 1), self._pose(after), (time - first) / (last - first))
+        return at_time(self._pose_times, self._pose, time, POSE_GAP_NS)
 
     def read_points(self, path: Path) -> npt.NDArray[np.float32]:
         """Read a sweep's points (n, 3), metres; values that no scanner measures are left out."""

@@ -15,13 +15,12 @@ Quirks kept here (the data set's documentation, and kitti360scripts' project.py)
 - image_02 and image_03 are fish-eyes, which nothing here reads.
 """
 
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from priors.drives import CameraDrive, DriveOptions
-from priors.drives._camera_drive import Files, Readers
+from priors.drives import DriveOptions
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     choose,
@@ -34,19 +33,19 @@ from priors.drives._files import (
     stems,
 )
 from priors.drives._links import homes
-from priors.drives._velodyne import SWEEP_S, point_times, read_sweep_file, velocity_between
+from priors.drives._numbered_drive import NumberedDrive
 from priors.errors import DataError, UsageError
-from priors.frame_ids import by_number, joined
+from priors.frame_ids import joined
 from priors.geometry import invert
 from priors.motion import Trajectory
-from priors.text import read_lines
-from priors.types import Camera, Matrix, Sweep
+from priors.poses import parse_pose, readable
+from priors.text import Line, read_lines
+from priors.types import Camera, Matrix
 
 BELOW = 2
 """How many levels below the data set's own folder its drives are: data_2d_raw/, then a sequence."""
 CAMERAS = ("image_00", "image_01")
 FISH_EYES = ("image_02", "image_03")
-SWEEPS_KEPT = 24
 DOWNLOAD = {
     "perspective.txt": "download calibration.zip",
     "calib_cam_to_pose.txt": "download calibration.zip",
@@ -78,7 +77,7 @@ def open_drive(path: Path, options: DriveOptions) -> "Kitti360":
     return Kitti360(folder, options.camera or next(name for name in CAMERAS if (folder / name / "data_rect").is_dir()))
 
 
-class Kitti360(CameraDrive):
+class Kitti360(NumberedDrive):
     """One camera's view of one drive."""
 
     pairs = (CAMERAS,)
@@ -95,8 +94,7 @@ class Kitti360(CameraDrive):
                 f"{self.folder / camera / 'data_rect'}: no images: download data_2d_raw of {self.folder.name}"
             )
         sweeps = self._tree("data_3d_raw") / "velodyne_points" / "data"
-        self._sweeps = joined(self.images, stems(sweeps, [".bin"]))
-        self._by_number = by_number({**self._sweeps, **self.images})
+        self.sweeps = joined(self.images, stems(sweeps, [".bin"]))
         self._perspective = read_key_values(self._calibration("perspective.txt"))
         K, self._T_cam_cam0 = self._projection(camera)
         width, height = need(self._perspective, f"S_rect_{camera[-2:]}", 2, self._calibration("perspective.txt"))
@@ -104,7 +102,6 @@ class Kitti360(CameraDrive):
         if self.others:
             right_m = float(self._T_cam_cam0[0, 3] - self._projection(partner)[1][0, 3])
             self.baseline_m = self.baseline(right_m, self._calibration("perspective.txt"))
-        self._read_sweep = lru_cache(maxsize=SWEEPS_KEPT)(self._load_sweep)
 
     @property
     def name(self) -> str:
@@ -121,31 +118,22 @@ class Kitti360(CameraDrive):
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each sensor has, for the audit."""
-        posed = [id_ for id_ in self.ids if int(id_) in self._T_world_cam0]
-        return {"other": list(self.others), "sweep": list(self._sweeps), "pose": posed}
-
-    def readers(self, id_: str) -> Readers:
-        """Return what can be read of a frame: also sweeps."""
-        readers = super().readers(id_)
-        if self._sweeps and self._T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._sweep_beside(int(id_), offset)
-        return readers
-
-    def files(self, id_: str) -> Files:
-        """Return which file each reader reads: also sweeps, and the times that tell where their path breaks."""
-        files: Files = {
-            "sweep": lambda offset=0: self._sweep_file(int(id_) + offset),
-            "sweep.times": lambda: self._times_file if self._times_file.is_file() else None,
-        }
-        return super().files(id_) | files
+        posed = [id_ for id_ in self.ids if int(id_) in self._pose_lines]
+        return {"other": list(self.others), "sweep": list(self.sweeps), "pose": posed}
 
     def T_world_cam(self, id_: str) -> Matrix | None:
         """Return the pose of this camera; None where the frame has no line."""
-        T_world_cam0 = self._T_world_cam0.get(int(id_))
+        T_world_cam0 = self._T_world_cam0(int(id_))
         return None if T_world_cam0 is None else T_world_cam0 @ invert(self._T_cam_cam0)
 
-    def T_cam_lidar(self, id_: str) -> Matrix | None:
-        """Return the LiDAR's place, the same at every frame."""
+    def T_world_velo(self, number: int) -> Matrix | None:
+        """Return the LiDAR's pose; None where the frame has no line, or the calibration is not there."""
+        T_world_cam0 = self._T_world_cam0(number)
+        return None if T_world_cam0 is None or self._T_cam0_velo is None else T_world_cam0 @ self._T_cam0_velo
+
+    @property
+    def T_cam_velo(self) -> Matrix | None:
+        """The LiDAR's place at this camera (4, 4), metres; None without calib_cam_to_velo.txt."""
         return None if self._T_cam0_velo is None else self._T_cam_cam0 @ self._T_cam0_velo
 
     def time_s(self, id_: str) -> float | None:
@@ -156,18 +144,18 @@ class Kitti360(CameraDrive):
         """Say why a reader is not there, and what to do."""
         sweeps = self._tree("data_3d_raw") / "velodyne_points" / "data"
         sweep = f"{sweeps}: no sweeps: download data_3d_raw of {self.folder.name}"
-        if self._sweeps:
+        if self.sweeps:
             wanted = self._calibration("calib_cam_to_velo.txt")
             sweep = f"{wanted}: no such file, so the sweeps cannot be placed: download calibration.zip"
         truth = "KITTI-360 has no depth maps: score against the LiDAR (`priors eval --against`)"
         reasons = {
-            "other": f"{self.folder}/{self.partner}/data_rect: no image {id_}: stereo needs both cameras",
+            "other": f"{self.folder}/{self.partner}/data_rect: no image {id_}: stereo needs both cameras: download it",
             "sweep": sweep,
             "truth": truth,
             "sparse": truth,
             "sky": "KITTI-360 has no sky masks",
         }
-        return reasons | ({"pose": self._no_pose(id_)} if self._must_have_pose(id_) else {})
+        return reasons | self._lacking_poses
 
     def _list_images(self, camera: str) -> dict[str, Path]:
         images = stems(follow(self.folder / camera) / "data_rect", IMAGE_SUFFIXES)
@@ -201,7 +189,7 @@ class Kitti360(CameraDrive):
         path = self._calibration("calib_cam_to_velo.txt")
         if not path.is_file():
             return None
-        return self._R_rect @ invert(_rigid(" ".join(line.text for line in read_lines(path)).split(), path))
+        return self._R_rect @ invert(parse_pose(" ".join(line.text for line in read_lines(path)), f"{path}: all of it"))
 
     @property
     def _pose_file(self) -> Path | None:
@@ -209,91 +197,58 @@ class Kitti360(CameraDrive):
         return next((path for name in ("poses.txt", "cam0_to_world.txt") if (path := folder / name).is_file()), None)
 
     @cached_property
-    def _T_world_cam0(self) -> dict[int, Matrix]:
-        """Pose of the rectified camera 0 by frame number; empty where there are none."""
-        path, poses = self._pose_file, {}
+    def _pose_lines(self) -> dict[int, Line]:
+        """The lines of poses by frame number, without it; empty where no camera's pose can be told."""
+        path, lines = self._pose_file, {}
         if path is None or (path.name == "poses.txt" and not self._calibration("calib_cam_to_pose.txt").is_file()):
             return {}
-        T_pose_cam0 = np.eye(4) if path.name != "poses.txt" else self._read_T_pose_cam0()
         for line in read_lines(path):
-            if line.text:
-                number, *words = line.words
-                where = f"line {line.number}"
-                try:
-                    poses[int(float(number))] = _rigid(words[:12], path, where) @ T_pose_cam0
-                except ValueError as error:
-                    raise DataError(
-                        f"{path}: {where} begins with no frame number: download data_poses again"
-                    ) from error
-        return poses
+            number, *words = line.words or [""]
+            if number.replace(".0", "").isdecimal():
+                lines[int(float(number))] = Line(line.number, " ".join(words[:12]))  # cam0_to_world has a fourth row
+        return lines
 
-    def _read_T_pose_cam0(self) -> Matrix:
+    def _T_world_cam0(self, number: int) -> Matrix | None:
+        """Return the pose of the rectified camera 0; None for a frame in which the car stood still."""
+        path, line = self._pose_file, self._pose_lines.get(number)
+        if path is None or line is None:
+            return None
+        T_world_rig = parse_pose(line.text, f"{path}: line {line.number}")
+        return T_world_rig @ self._T_pose_cam0 if path.name == "poses.txt" else T_world_rig
+
+    @cached_property
+    def _T_pose_cam0(self) -> Matrix:
         path = self._calibration("calib_cam_to_pose.txt")
         T_pose_cam0 = np.eye(4)
         T_pose_cam0[:3] = need(read_key_values(path), "image_00", 12, path).reshape(3, 4)
         return T_pose_cam0 @ invert(self._R_rect)
 
-    def _must_have_pose(self, id_: str) -> bool:
-        """Tell whether a pose is missing though it is no frame in which the car stood still."""
-        lacks_calibration = self._pose_file is not None and not self._T_world_cam0
-        return lacks_calibration and int(id_) not in self._T_world_cam0
-
-    def _no_pose(self, id_: str) -> str:
-        return f"{self._calibration('calib_cam_to_pose.txt')}: no such file, so poses.txt tells no camera's pose"
+    @cached_property
+    def _lacking_poses(self) -> dict[str, str]:
+        """Say why a frame has no pose: by mistake (pose), or because the data set has none (poses)."""
+        if self._pose_file is None:
+            wanted = self._tree("data_poses") / "poses.txt"
+            return {"poses": f"{wanted}: no such file: download data_poses of {self.folder.name}"}
+        if self._pose_lines:
+            return {"poses": f"{self._pose_file}: no line of this frame: the car stood still in it, leave it out"}
+        path = self._calibration("calib_cam_to_pose.txt")
+        if self._pose_file.name == "poses.txt" and not path.is_file():
+            return {"pose": f"{path}: no such file, so poses.txt tells no camera's pose: {DOWNLOAD[path.name]}"}
+        return {"pose": f"{self._pose_file}: no line begins with a frame's number: download data_poses again"}
 
     @property
-    def _times_file(self) -> Path:
-        return self.folder / self.camera_name / "timestamps.txt"
+    def times_file(self) -> Path | None:
+        """timestamps.txt of this camera, where it is there."""
+        path = self.folder / self.camera_name / "timestamps.txt"
+        return path if path.is_file() else None
 
     @cached_property
     def _times(self) -> dict[int, float]:
         """Camera times by frame number."""
-        return read_times(self._times_file) if self._times_file.is_file() else {}
+        return {} if self.times_file is None else read_times(self.times_file)
 
     @cached_property
-    def _path(self) -> Trajectory:
-        return Trajectory.of_numbers(self._T_world_cam0, self._times)
-
-    def _sweep_file(self, number: int) -> Path | None:
-        return self._sweeps.get(self._by_number.get(number, ""))
-
-    def _sweep_beside(self, number: int, offset: int) -> Sweep | None:
-        """Read the sweep `offset` frames from a frame."""
-        return self._path.without_far_side(self._read_sweep(number + offset), str(number), str(number + offset))
-
-    def _load_sweep(self, number: int) -> Sweep | None:
-        path = self._sweep_file(number)
-        if path is None:
-            return None
-        xyz_m, velocity, time_s = read_sweep_file(path), self._velocity(number), None
-        if velocity is not None:
-            time_s = point_times(xyz_m)
-            time_s.flags.writeable = False
-        xyz_m.flags.writeable = False  # sweeps are shared
-        return Sweep(xyz_m, self._T_world_velo(number), time_s, velocity)
-
-    def _T_world_velo(self, number: int) -> Matrix | None:
-        T_world_cam0 = self._T_world_cam0.get(number)
-        return None if T_world_cam0 is None or self._T_cam0_velo is None else T_world_cam0 @ self._T_cam0_velo
-
-    def _velocity(self, number: int) -> Matrix | None:
-        """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame on its own side of a break."""
-        around = [(k, T) for k in (-1, 0, 1) if (T := self._T_world_velo(number + k)) is not None]
-        own = [(k, T) for k, T in around if not self._path.broken(str(number), str(number + k))]
-        if len(own) < 2:
-            return None
-        (first, T_world_a), (last, T_world_b) = own[0], own[-1]
-        return velocity_between(T_world_a, T_world_b, (last - first) * SWEEP_S)
-
-
-def _rigid(words: list[str], path: Path, where: str = "it") -> Matrix:
-    """Read 12 numbers, a row-major (3, 4); DataError where they are not."""
-    try:
-        numbers = np.array(list(map(float, words)), np.float64)
-    except ValueError:
-        numbers = np.zeros(0)
-    if numbers.shape != (12,) or not np.isfinite(numbers).all():
-        raise DataError(f"{path}: {where} should hold 12 numbers of a pose: download it again")
-    T = np.eye(4)
-    T[:3] = numbers.reshape(3, 4)
-    return T
+    def path(self) -> Trajectory:
+        """The trajectory of camera 0, by frame number; lines that are no poses are left out."""
+        poses = readable(self._pose_lines, self._T_world_cam0)
+        return Trajectory.of_numbers(poses, self._times)

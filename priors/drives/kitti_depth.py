@@ -22,8 +22,9 @@ from typing import Any
 
 import numpy as np
 
-from priors.drives import BY_FRAME, CameraDrive, DriveOptions
-from priors.drives._files import IMAGE_SUFFIXES, choose, image_size, search, stems
+from priors.drives import DriveOptions
+from priors.drives._files import IMAGE_SUFFIXES, choose, search, stems
+from priors.drives._single_frames import SingleFrames
 from priors.errors import DataError, UsageError
 from priors.text import read_text
 from priors.types import Camera
@@ -54,7 +55,7 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiDepth":
     return KittiDepth(folder)
 
 
-class KittiDepth(CameraDrive):
+class KittiDepth(SingleFrames):
     """The frames of a selection."""
 
     usual_camera = "image"
@@ -65,16 +66,12 @@ class KittiDepth(CameraDrive):
         if not self.images:
             raise DataError(f"{self.folder / 'image'}: no images: {DOWNLOAD}")
         self.maps = {what: self._join(stems(self.folder / name, [".png"]), name) for what, name in MAPS.items()}
-        self.camera = self.camera_of(self.ids[0])
+        self.camera, _ = self.first_readable()
 
     @property
     def name(self) -> str:
         """The data set and the selection."""
         return f"kitti_depth_{super().name}"
-
-    def describe(self) -> dict[str, Any]:
-        """Return what a manifest records: cameras differ by frame."""
-        return {**super().describe(), "cameras": BY_FRAME}
 
     def sources(self) -> list[Path]:
         """List the calibration of all frames."""
@@ -86,6 +83,7 @@ class KittiDepth(CameraDrive):
         if "anonymous" in self.folder.name:
             reasons["truth"] = f"{self.folder.name} has no truth, the benchmark keeps it: use val_selection_cropped"
         return {
+            **super().missing(id_),
             **reasons,
             "other": "the selection has no pairs: use completion, or mono",
             "sweep": "the selection has no sweeps: completion fills its velodyne_raw maps",
@@ -94,11 +92,7 @@ class KittiDepth(CameraDrive):
 
     def camera_of(self, id_: str) -> Camera:
         """Return the frame's own camera."""
-        return Camera(self._read_K(self._intrinsics(id_)), self._size_of(self.images[id_]))
-
-    @cached_property
-    def _size_of(self) -> Any:
-        return lru_cache(maxsize=None)(image_size)
+        return Camera(self._read_K(self._intrinsics(id_)), self.size_of(self.images[id_]))
 
     @cached_property
     def _read_K(self) -> Any:
@@ -115,7 +109,7 @@ class KittiDepth(CameraDrive):
 
 def _read_intrinsics(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """Read nine numbers, a row-major K."""
-    words = read_text(path).split()
+    words = read_text(path, DOWNLOAD).split()
     try:
         K = np.array(list(map(float, words)), np.float64).reshape(3, 3)
     except ValueError as error:

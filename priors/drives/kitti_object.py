@@ -13,19 +13,16 @@ Quirks kept here (the devkit's readme):
 
 import re
 from functools import cached_property, lru_cache
-from itertools import islice
-from os import scandir
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from priors.drives import BY_FRAME, CameraDrive, DriveOptions
-from priors.drives._camera_drive import Files, Readers
+from priors.drives import DriveOptions
+from priors.drives._camera_drive import Files
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     choose,
-    image_size,
     need,
     read_key_values,
     search,
@@ -33,9 +30,9 @@ from priors.drives._files import (
     stems,
 )
 from priors.drives._rigs import KITTI
-from priors.drives._velodyne import read_sweep_file
+from priors.drives._single_frames import SinglePairs, has_file
 from priors.errors import DataError, UsageError
-from priors.types import Camera, Matrix, Sweep
+from priors.types import Matrix
 
 BELOW = 2
 """How many levels below the data set's own folder its splits are: data_object/, then a split."""
@@ -51,7 +48,11 @@ def recognises(path: Path) -> bool:
 def is_drive(folder: Path) -> bool:
     """Tell whether the folder is itself a split: images by number, and a calibration of each or sweeps beside them."""
     beside = any((folder / name).is_dir() for name in ("calib", "velodyne", "label_2"))
-    return beside and not (folder / "calib.txt").is_file() and _has_image(folder / "image_2")
+    return (
+        beside
+        and not any((folder / name).is_file() for name in ("calib.txt", "times.txt"))
+        and has_file(folder / "image_2", IMAGE)
+    )
 
 
 def open_drive(path: Path, options: DriveOptions) -> "KittiObject":
@@ -62,15 +63,7 @@ def open_drive(path: Path, options: DriveOptions) -> "KittiObject":
     return KittiObject(folder, options.camera or "image_2")
 
 
-def _has_image(folder: Path) -> bool:
-    try:
-        with scandir(folder) as entries:
-            return any(IMAGE.fullmatch(entry.name) for entry in islice(entries, 20))
-    except OSError:
-        return False
-
-
-class KittiObject(CameraDrive):
+class KittiObject(SinglePairs):
     """One camera's view of the frames of a split."""
 
     pairs = (("image_2", "image_3"),)
@@ -83,8 +76,8 @@ class KittiObject(CameraDrive):
         if not self.images:
             raise DataError(f"{self.folder / camera}: no images: download data_object_{camera}.zip")
         self.others = {i: path for i, path in stems(self.folder / partner, IMAGE_SUFFIXES).items() if i in self.images}
-        self._sweeps = {i: p for i, p in stems(self.folder / "velodyne", [".bin"]).items() if i in self.images}
-        self.camera, self.baseline_m = self.camera_of(self.ids[0]), self.baseline_of(self.ids[0])
+        self.sweeps = {i: p for i, p in stems(self.folder / "velodyne", [".bin"]).items() if i in self.images}
+        self.camera, self.baseline_m = self.first_readable()
         self.rig = KITTI
 
     @property
@@ -92,31 +85,16 @@ class KittiObject(CameraDrive):
         """The data set and the split."""
         return f"kitti_object_{super().name}"
 
-    def describe(self) -> dict[str, Any]:
-        """Return what a manifest records: cameras differ by frame."""
-        return {**super().describe(), "cameras": BY_FRAME}
-
     def sources(self) -> list[Path]:
-        """List the first frame's calibration; a frame's own is watched with what it reads."""
-        return [self._calibration_file(self.ids[0])]
-
-    def scans(self) -> dict[str, list[str]]:
-        """List the frame ids that each sensor has, for the audit."""
-        return {"other": list(self.others), "sweep": list(self._sweeps)}
-
-    def readers(self, id_: str) -> Readers:
-        """Return what can be read of a frame: also its sweep; there is none of its neighbours."""
-        readers = super().readers(id_)
-        if id_ in self._sweeps:
-            readers["sweep"] = lambda offset=0: self._read_sweep(id_) if offset == 0 else None
-        return readers
+        """List the first calibration that is there; a frame's own is watched with what it reads."""
+        places = (self._calibration_places(id_) for id_ in self.ids)
+        return [next(path for around in places for path in around if path.is_file())]
 
     def files(self, id_: str) -> Files:
-        """Return which file each reader reads: also the sweep, and the calibration that it goes through."""
+        """Return which file each reader reads: also the calibration that image and sweep go through."""
         files: Files = {
-            "sweep": lambda offset=0: self._sweeps.get(id_) if offset == 0 else None,
-            "sweep.calibration": lambda: self._calibration_file(id_),
-            "image.calibration": lambda: self._calibration_file(id_),
+            "sweep.calibration": lambda: self.calibration_file(id_),
+            "image.calibration": lambda: self.calibration_file(id_),
         }
         return super().files(id_) | files
 
@@ -125,6 +103,7 @@ class KittiObject(CameraDrive):
         truth = "KITTI's object benchmark has no depth maps"
         zip_ = "data_object_image_3.zip" if self.partner == "image_3" else "data_object_image_2.zip"
         return {
+            **super().missing(id_),
             "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras: download {zip_}",
             "sweep": f"{self.folder / 'velodyne'}: no sweep {id_}.bin: download data_object_velodyne.zip",
             "truth": truth,
@@ -132,48 +111,36 @@ class KittiObject(CameraDrive):
             "sky": "KITTI has no sky masks",
         }
 
-    def camera_of(self, id_: str) -> Camera:
-        """Return the frame's own camera."""
-        return Camera(self._projection(id_, self.camera_name)[0], self._size_of(self.images[id_]))
-
-    def baseline_of(self, id_: str) -> float | None:
-        """Return the baseline of the frame's own pair."""
-        if id_ not in self.others or self.partner is None:
-            return None
-        places = [self._projection(id_, name)[1][0, 3] for name in (self.camera_name, self.partner)]
-        return self.baseline(float(places[0] - places[1]), self._calibration_file(id_))
-
     def T_cam_lidar(self, id_: str) -> Matrix | None:
         """Return the LiDAR's place at the frame."""
-        if id_ not in self._sweeps:
+        if id_ not in self.sweeps:
             return None
-        path = self._calibration_file(id_)
+        path = self.calibration_file(id_)
         values = self._calibration(path)
         R_rect, T_cam0_velo = np.eye(4), np.eye(4)
         R_rect[:3, :3] = need(values, "R0_rect", 9, path).reshape(3, 3)
         T_cam0_velo[:3] = need(values, "Tr_velo_to_cam", 12, path).reshape(3, 4)
-        return self._projection(id_, self.camera_name)[1] @ R_rect @ T_cam0_velo
-
-    def _read_sweep(self, id_: str) -> Sweep:
-        return Sweep(read_sweep_file(self._sweeps[id_]), None)
+        return self.projection(id_, self.camera_name)[1] @ R_rect @ T_cam0_velo
 
     @cached_property
     def _calibration(self) -> Any:
         return lru_cache(maxsize=64)(read_key_values)
 
-    @cached_property
-    def _size_of(self) -> Any:
-        return lru_cache(maxsize=None)(image_size)
-
-    def _projection(self, id_: str, camera: str) -> tuple[Matrix, Matrix]:
-        path, key = self._calibration_file(id_), f"P{camera[-1]}"
+    def projection(self, id_: str, camera: str) -> tuple[Matrix, Matrix]:
+        """Return K (3, 3) and T_cam_cam0 (4, 4) of a camera at a frame, metres."""
+        path, key = self.calibration_file(id_), f"P{camera[-1]}"
         return split_projection(need(self._calibration(path), key, 12, path).reshape(3, 4), key, path)
 
-    def _calibration_file(self, id_: str) -> Path:
-        split = self.folder.name
-        above = [parent / "data_object_calib" / split for parent in list(self.folder.parents)[:2]]
-        places = [folder / "calib" / f"{id_}.txt" for folder in (self.folder, *above)]
+    def calibration_file(self, id_: str) -> Path:
+        """Return the frame's calibration; DataError where there is none."""
+        places = self._calibration_places(id_)
         found = next((path for path in places if path.is_file()), None)
         if found is None:
             raise DataError(f"{places[0]}: no such file: {CALIBRATION}")
         return found
+
+    def _calibration_places(self, id_: str) -> list[Path]:
+        """List where a frame's calibration may be: in the split, or in the other download beside."""
+        split = self.folder.name
+        above = [parent / "data_object_calib" / split for parent in list(self.folder.parents)[:2]]
+        return [folder / "calib" / f"{id_}.txt" for folder in (self.folder, *above)]

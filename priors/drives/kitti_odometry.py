@@ -17,8 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from priors.drives import CameraDrive, DriveOptions, _kitti_maps
-from priors.drives._camera_drive import Files, Readers
+from priors.drives import DriveOptions, _kitti_maps
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     choose,
@@ -31,15 +30,15 @@ from priors.drives._files import (
     subfolders,
 )
 from priors.drives._links import beside, homes
+from priors.drives._numbered_drive import NumberedDrive
 from priors.drives._rigs import KITTI
-from priors.drives._velodyne import read_sweep_file
 from priors.errors import DataError
-from priors.frame_ids import by_number, joined
+from priors.frame_ids import joined
 from priors.geometry import invert
 from priors.motion import Trajectory
 from priors.poses import by_id, parse_pose, read_pose_lines, readable
 from priors.text import Line, read_lines
-from priors.types import Camera, Matrix, Sweep
+from priors.types import Camera, Matrix
 
 BELOW = 2
 """How many levels below the data set's own folder its sequences are: sequences/, then a sequence."""
@@ -84,14 +83,16 @@ def _sequences(path: Path) -> list[Path]:
 
 def is_drive(folder: Path) -> bool:
     """Tell whether the folder is itself a sequence."""
-    return (folder / "calib.txt").is_file() and any((folder / name).is_dir() for name in CAMERAS)
+    named = any((folder / name).is_file() for name in ("calib.txt", "times.txt")) or folder.parent.name == "sequences"
+    return named and any((folder / name).is_dir() for name in CAMERAS)
 
 
-class KittiOdometry(CameraDrive):
+class KittiOdometry(NumberedDrive):
     """One camera's view of one sequence."""
 
     pairs = (("image_0", "image_1"), ("image_2", "image_3"))
     usual_camera = "image_2"
+    compensated = True
 
     def __init__(self, folder: Path, camera: str, truth: Path | None = None) -> None:
         super().__init__(folder, camera, truth)
@@ -102,8 +103,7 @@ class KittiOdometry(CameraDrive):
         if not self.images:
             others = ", ".join(name for name in CAMERAS if (folder / name).is_dir())
             raise DataError(f"{folder / camera}: no images: download {_image_zip(camera)} (found {others})")
-        self._sweeps = joined(self.images, stems(follow(self.folder / "velodyne"), [".bin"]))
-        self._by_number = by_number({**self._sweeps, **self.images})
+        self.sweeps = joined(self.images, stems(follow(self.folder / "velodyne"), [".bin"]))
         self._calibration = read_key_values(self.folder / "calib.txt")
         K, self._T_cam_cam0 = self._projection(camera)
         self.camera = Camera(K, first_size(self.images.values()))
@@ -123,31 +123,33 @@ class KittiOdometry(CameraDrive):
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each sensor has, for the audit."""
-        return {"other": list(self.others), "sweep": list(self._sweeps)}
-
-    def readers(self, id_: str) -> Readers:
-        """Return what can be read of a frame: also sweeps."""
-        readers = super().readers(id_)
-        if self._sweeps and self._T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._sweep_beside(int(id_), offset)
-        return readers
-
-    def files(self, id_: str) -> Files:
-        """Return which file each reader reads: also sweeps, and the times that tell where their path breaks."""
-        files: Files = {
-            "sweep": lambda offset=0: self._sweep_file(int(id_) + offset),
-            "sweep.times": lambda: self._times_file if self._times_file.is_file() else None,
-        }
-        return super().files(id_) | files
+        return {"other": list(self.others), "sweep": list(self.sweeps)}
 
     def T_world_cam(self, id_: str) -> Matrix | None:
         """Return the pose of this camera, which stands beside camera 0."""
-        T_world_cam0 = self._T_world_cam0(id_)
+        T_world_cam0 = self._T_world_cam0(int(id_))
         return None if T_world_cam0 is None else T_world_cam0 @ invert(self._T_cam_cam0)
 
-    def T_cam_lidar(self, id_: str) -> Matrix | None:
-        """Return the LiDAR's place, the same at every frame."""
+    def T_world_velo(self, number: int) -> Matrix | None:
+        """Return the LiDAR's pose; None for a sequence without poses, or without `Tr`."""
+        T_world_cam0, T_cam0_velo = self._T_world_cam0(number), self._T_cam0_velo
+        return None if T_world_cam0 is None or T_cam0_velo is None else T_world_cam0 @ T_cam0_velo
+
+    @property
+    def T_cam_velo(self) -> Matrix | None:
+        """The LiDAR's place at this camera (4, 4), metres; None where calib.txt has no `Tr`."""
         return None if self._T_cam0_velo is None else self._T_cam_cam0 @ self._T_cam0_velo
+
+    @cached_property
+    def path(self) -> Trajectory:
+        """The trajectory of camera 0, by frame number; lines that are no poses are left out."""
+        return Trajectory.of_numbers(readable(self._pose_lines, self._T_world_cam0), self._times)
+
+    @property
+    def times_file(self) -> Path | None:
+        """times.txt, where it is there."""
+        path = self.folder / "times.txt"
+        return path if path.is_file() else None
 
     def time_s(self, id_: str) -> float | None:
         """Return the time that times.txt tells."""
@@ -157,7 +159,7 @@ class KittiOdometry(CameraDrive):
         """Say why a reader is not there, and which zip has it."""
         other = f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras: "
         sweep = f"{self.folder / 'velodyne'}: no sweeps: download data_odometry_velodyne.zip"
-        if self._sweeps:
+        if self.sweeps:
             calib = self.folder / "calib.txt"
             sweep = f"{calib}: no Tr (the grey download has none), so the sweeps cannot be placed: "
             sweep += "take calib.txt from data_odometry_calib.zip"
@@ -165,7 +167,11 @@ class KittiOdometry(CameraDrive):
         truth = "the odometry data set has no depth maps for this camera: use --camera image_2"
         if raw is not None and self.camera_name in self.pairs[1]:
             truth = f"no depth map: name the folder that holds train/{raw[0]}/proj_depth with --truth"
+        poses = f"{self._pose_file}: no such file, or an empty one: download data_odometry_poses.zip"
+        if self._sequence in SEQUENCES[len(RAW_DRIVE) :]:
+            poses = f"KITTI publishes no poses of sequence {self._sequence}: take one of 00 to 10"
         return {
+            "poses": poses,
             "other": other + f"download {_image_zip(self.camera_name)}",
             "sweep": sweep,
             "truth": truth,
@@ -226,53 +232,28 @@ class KittiOdometry(CameraDrive):
             return {int(id_): line for id_, line in named.items() if id_.isdecimal()}
         return dict(enumerate(filled if len(filled) == count else lines))
 
-    def _T_world_cam0(self, id_: str) -> Matrix | None:
+    def _T_world_cam0(self, number: int) -> Matrix | None:
         """Return the pose of camera 0; None for a sequence without poses (11-21, or they were not downloaded)."""
-        lines, number = self._pose_lines, int(id_)
+        lines = self._pose_lines
         if not lines:
             return None
         if number not in lines:
             raise DataError(
-                f"{self._pose_file}: {len(lines)} poses, none for frame {id_}: "
+                f"{self._pose_file}: {len(lines)} poses, none for frame {self.numbered.get(number, number)}: "
                 "download data_odometry_poses.zip again, or leave the frame out with --frames"
             )
         return parse_pose(lines[number].text, f"{self._pose_file}: line {lines[number].number}")
 
-    @property
-    def _times_file(self) -> Path:
-        return self.folder / "times.txt"
-
     @cached_property
     def _times(self) -> dict[int, float]:
         """Seconds since the first frame, by frame number; empty without times.txt."""
-        path = self._times_file
-        if not path.is_file():
+        path = self.times_file
+        if path is None:
             return {}
         try:
             return {n: float(line.text) for n, line in enumerate(read_lines(path)) if line.text}
         except ValueError as error:
             raise DataError(f"{path}: expected one number a line ({error}): download it again") from error
-
-    def _sweep_file(self, number: int) -> Path | None:
-        return self._sweeps.get(self._by_number.get(number, ""))
-
-    @cached_property
-    def _path(self) -> Trajectory:
-        """The trajectory of camera 0, by frame number; lines that are no poses are left out."""
-        poses = readable(self._pose_lines, lambda number: self._T_world_cam0(str(number)))
-        return Trajectory.of_numbers(poses, self._times)
-
-    def _sweep_beside(self, number: int, offset: int) -> Sweep | None:
-        """Read the sweep `offset` frames from a frame."""
-        return self._path.without_far_side(self._read_sweep(number + offset), str(number), str(number + offset))
-
-    def _read_sweep(self, number: int) -> Sweep | None:
-        path = self._sweep_file(number)
-        if path is None or self._T_cam0_velo is None:
-            return None
-        T_world_cam0 = self._T_world_cam0(self._by_number[number])
-        T_world_lidar = None if T_world_cam0 is None else T_world_cam0 @ self._T_cam0_velo
-        return Sweep(read_sweep_file(path), T_world_lidar)
 
     def _find_maps(self) -> dict[str, dict[str, Path]]:
         """Find the raw drive's depth maps: truth and sparse, by this sequence's frame ids."""

@@ -18,13 +18,13 @@ Quirks kept here:
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from priors.drives import CameraDrive, DriveOptions, _kitti_maps
+from priors.drives import DriveOptions, _kitti_maps
 from priors.drives._camera_drive import Files, Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
@@ -40,16 +40,15 @@ from priors.drives._files import (
     stems,
 )
 from priors.drives._links import beside, homes
+from priors.drives._numbered_drive import NumberedDrive
 from priors.drives._oxts import DEAD_RECKONING, Track
 from priors.drives._rigs import KITTI
-from priors.drives._velodyne import SWEEP_S, point_times, read_sweep_file, velocity_between
 from priors.errors import DataError
-from priors.frame_ids import by_number, joined
+from priors.frame_ids import joined
 from priors.geometry import invert
-from priors.types import Camera, Matrix, Sweep
+from priors.motion import Trajectory
+from priors.types import Camera, Matrix
 
-# Frames built in order share sweeps: 11 accumulated, and some workers ahead. 2 MB each.
-SWEEPS_KEPT = 24
 BELOW = 2
 """How many levels below the data set's own folder its drives are: a date, then a drive."""
 CAMERAS_FILE, VELO_FILE, IMU_FILE = "calib_cam_to_cam.txt", "calib_velo_to_cam.txt", "calib_imu_to_velo.txt"
@@ -92,7 +91,7 @@ class RigCalibration:
     T_velo_imu: Matrix | None
 
 
-class KittiRaw(CameraDrive):
+class KittiRaw(NumberedDrive):
     """One camera's view of one drive."""
 
     pairs = (("image_00", "image_01"), ("image_02", "image_03"))
@@ -108,8 +107,7 @@ class KittiRaw(CameraDrive):
         self.others = joined(self.images, _images(folder, partner))
         if not self.images:
             raise DataError(f"{folder / camera / 'data'}: no PNG or JPEG images: download the drive's synced data")
-        self._sweeps = joined(self.images, stems(follow(folder / "velodyne_points") / "data", [".bin"]))
-        self._by_number = by_number({**self._sweeps, **self.images})
+        self.sweeps = joined(self.images, stems(follow(folder / "velodyne_points") / "data", [".bin"]))
         self._track = Track(follow(folder / "oxts"), by_velocity=by_velocity)
         self._homes = homes(folder, follow(folder / camera) / "data")
         self._files = {name: beside(self._homes, name) for name in (CAMERAS_FILE, VELO_FILE, IMU_FILE)}
@@ -118,7 +116,6 @@ class KittiRaw(CameraDrive):
         self.baseline_m = self._read_baseline(partner) if self.others else None
         self.rig = KITTI if any(home.name.startswith(DATES) for home in self._homes) else None
         self.maps = self._find_maps()
-        self._read_sweep = lru_cache(maxsize=SWEEPS_KEPT)(self._load_sweep)
 
     def describe(self) -> dict[str, Any]:
         """Return what a manifest records; where the folder is a link, the path is its target's."""
@@ -142,33 +139,29 @@ class KittiRaw(CameraDrive):
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each sensor has, for the audit."""
         oxts = joined(self.images, self._track.files)
-        return {"other": list(self.others), "sweep": list(self._sweeps), "oxts": list(oxts)}
+        return {"other": list(self.others), "sweep": list(self.sweeps), "oxts": list(oxts)}
 
     def readers(self, id_: str) -> Readers:
-        """Return what can be read of a frame: also sweeps, and the street's sky masks."""
+        """Return what can be read of a frame: also the street's sky masks."""
         readers = super().readers(id_)
-        if self._sweeps and self.calibration.T_cam0_velo is not None:
-            readers["sweep"] = lambda offset=0: self._sweep_beside(int(id_), offset)
         if id_ in self._skies:
             readers["sky"] = lambda: read_sized(self._skies[id_], self.camera) > 127
         return readers
 
     def files(self, id_: str) -> Files:
-        """Return which file each reader reads: also sweeps, and the street's sky masks."""
-        files: Files = {
-            "sweep": lambda offset=0: self._sweep_file(int(id_) + offset),
-            "sky": lambda: self._skies.get(id_),
-        }
+        """Return which file each reader reads: also the street's sky masks."""
+        files: Files = {"sky": lambda: self._skies.get(id_)}
         return super().files(id_) | files
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
         sweep = f"no sweeps in {self.folder / 'velodyne_points' / 'data'}: download the velodyne data"
-        if self._sweeps:
+        if self.sweeps:
             sweep = f"{self._files[VELO_FILE]}: no such file, so the sweeps cannot be placed: {CALIBRATION}"
         return {
             **self._lacking_pose,
-            "other": f"no image {self.partner}/data/{id_} in {self.folder}: stereo needs both cameras",
+            "poses": f"{self.folder / 'oxts' / 'data'}: no record {id_}.txt: download the drive's oxts",
+            "other": f"{self.folder}/{self.partner}/data: no image {id_}: stereo needs both cameras: download it",
             "sweep": sweep,
             **self._lacking_maps,
             "sky": f"no sky masks beside {self.folder.name}: KITTI has none, the embedded street has",
@@ -176,12 +169,17 @@ class KittiRaw(CameraDrive):
 
     def T_world_cam(self, id_: str) -> Matrix | None:
         """Return the pose that oxts tells; None where the frame has no record there."""
-        T_world_velo, T_cam_velo = self._T_world_velo(id_), self.T_cam_lidar(id_)
-        return None if T_world_velo is None or T_cam_velo is None else T_world_velo @ invert(T_cam_velo)
+        T_world_velo = self._T_world_velo(id_)
+        return None if T_world_velo is None or self.T_cam_velo is None else T_world_velo @ invert(self.T_cam_velo)
 
-    def T_cam_lidar(self, id_: str) -> Matrix | None:
-        """Return the LiDAR's place, the same at every frame."""
-        return self._T_cam_velo
+    def T_world_velo(self, number: int) -> Matrix | None:
+        """Return the LiDAR's pose, which oxts tells; None where the number has no record there."""
+        return self._T_world_velo(self._track.id_of(number))
+
+    @property
+    def path(self) -> Trajectory:
+        """The trajectory of the recorded positions, by frame number."""
+        return self._track.path
 
     def time_s(self, id_: str) -> float | None:
         """Return the camera's own time stamp."""
@@ -193,7 +191,8 @@ class KittiRaw(CameraDrive):
         return joined(self.images, stems(self.folder / "sky" / self.camera_name / "data", [".png"]))
 
     @cached_property
-    def _T_cam_velo(self) -> Matrix | None:
+    def T_cam_velo(self) -> Matrix | None:
+        """The LiDAR's place at this camera (4, 4), metres; None without its calibration."""
         T_cam0_velo = self.calibration.T_cam0_velo
         return None if T_cam0_velo is None else self.calibration.T_cam_cam0 @ T_cam0_velo
 
@@ -222,7 +221,8 @@ class KittiRaw(CameraDrive):
         reasons = {}
         for what, paths in self.maps.items():
             if paths:
-                reasons[what] = f"{next(iter(paths.values())).parent}: no map of this frame"
+                folder = next(iter(paths.values())).parent
+                reasons[what] = f"{folder}: no map of this frame (KITTI has none of a drive's ends): leave it out"
             else:
                 reasons[what] = _kitti_maps.lacking(self._above, self._names, self.camera_name, what)
         return reasons
@@ -247,52 +247,6 @@ class KittiRaw(CameraDrive):
     def _T_world_velo(self, id_: str) -> Matrix | None:
         T_velo_imu, T_world_imu = self.calibration.T_velo_imu, self._track.T_world_imu(id_)
         return None if T_velo_imu is None or T_world_imu is None else T_world_imu @ invert(T_velo_imu)
-
-    def _sweep_file(self, number: int) -> Path | None:
-        return self._sweeps.get(self._by_number.get(number, ""))
-
-    def _sweep_beside(self, number: int, offset: int) -> Sweep | None:
-        """Read the sweep `offset` frames from a frame."""
-        return self._track.path.without_far_side(self._read_sweep(number + offset), str(number), str(number + offset))
-
-    def _load_sweep(self, number: int) -> Sweep | None:
-        path = self._sweep_file(number)
-        if path is None:
-            return None
-        xyz_m = read_sweep_file(path)
-        velocity = self._velocity(number)
-        time_s = None
-        if velocity is not None:
-            time_s = point_times(xyz_m)
-            time_s.flags.writeable = False
-        xyz_m.flags.writeable = False  # sweeps are shared
-        return Sweep(xyz_m, self._T_world_velo(self._by_number[number]), time_s, velocity)
-
-    def _velocity(self, number: int) -> Matrix | None:
-        """Ego motion (m/s, rad/s) in the LiDAR's frame, from the poses around the frame.
-
-        Where the path breaks on both sides of the frame, it is that of the nearest step that does not break.
-        """
-        poses = self._unbroken(number, (-1, 0, 1))
-        if len(poses) < 2 and self._track.path.broken(str(number - 1), str(number)):
-            poses = self._unbroken(number - 1, (0, -1)) or self._unbroken(number + 1, (0, 1))
-        if len(poses) < 2:
-            return None
-        (first, T_world_a), (last, T_world_b) = poses[0], poses[-1]
-        return velocity_between(T_world_a, T_world_b, (last - first) * SWEEP_S)
-
-    def _unbroken(self, number: int, offsets: tuple[int, ...]) -> list[tuple[int, Matrix]]:
-        """Return the poses at offsets from a frame, each with its offset, on the frame's own side of a break."""
-        around = [(k, self._pose_or_none(number + k)) for k in offsets]
-        own = self._track.path
-        return [(k, T) for k, T in around if T is not None and not own.broken(str(number), str(number + k))]
-
-    def _pose_or_none(self, number: int) -> Matrix | None:
-        """A neighbour's pose; a damaged one is as good as none here, and an error at its own frame."""
-        try:
-            return self._T_world_velo(self._track.id_of(number))
-        except DataError:
-            return None
 
 
 def _images(folder: Path, camera: str) -> dict[str, Path]:

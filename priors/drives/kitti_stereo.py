@@ -14,7 +14,10 @@ Quirks kept here (devkits' readmes of both years; Menze and Geiger, CVPR 2015):
 - Each frame has a calibration and an image size of its own. Instead, one calib_cam_to_cam.txt in the split's folder, or
   above it, may serve all frames.
 - Truth is disparity: uint16, px x 256, 0 = none, of the left camera. occ has all pixels and noc those that the right
-  image shows too. 2012's truth is that of the grey cameras: for the colour ones --truth must name it.
+  image shows too.
+- 2012's truth is of the grey pair. The left colour camera stands 6 cm to the left of the grey one, which is a ninth of
+  the baseline: a point of 45 px of disparity lies 5 px beside its truth. So the colour pair has none, unless --truth
+  names it.
 - A sweep is placed by calib_velo_to_cam/000000.txt, or by one calib_velo_to_cam.txt for all, which lie where the
   cameras' calibration does. It is not compensated for the car's motion, and nothing here tells the motion.
 - obj_map (2015): 0 = background, else the number of a car. The benchmark scores the two apart.
@@ -22,21 +25,18 @@ Quirks kept here (devkits' readmes of both years; Menze and Geiger, CVPR 2015):
 
 import re
 from functools import cached_property, lru_cache
-from itertools import islice
-from os import scandir
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from priors import codecs
-from priors.drives import BY_FRAME, CameraDrive, DriveOptions
+from priors.drives import DriveOptions
 from priors.drives._camera_drive import Files, Readers
 from priors.drives._files import (
     IMAGE_SUFFIXES,
     check_size,
     choose,
-    image_size,
     need,
     read_key_values,
     search,
@@ -44,11 +44,11 @@ from priors.drives._files import (
     stems,
 )
 from priors.drives._rigs import KITTI
-from priors.drives._velodyne import read_sweep_file
+from priors.drives._single_frames import SinglePairs, has_file
 from priors.drives.kitti_raw import read_rigid
 from priors.errors import DataError
 from priors.geometry import convert_disparity
-from priors.types import Camera, Depth, Mask, Matrix, Sweep
+from priors.types import Camera, Depth, Mask, Matrix
 
 BELOW = 2
 """How many levels below the data set's own folder its splits are: data_scene_flow/, then a split."""
@@ -58,8 +58,8 @@ NUMBERS = {name: 2 * (pair != PAIRS[1]) + side for pair in PAIRS for side, name 
 TRUTHS = {"image_2": ("disp_occ_0", "disp_noc_0"), "image_0": ("disp_occ", "disp_noc")}
 """Folders of truth, the first is scored unless --truth names another."""
 REFERENCE = re.compile(r"\d{6}_10\.(png|jpe?g)", re.IGNORECASE)
-LOOKED_AT = 200
-"""Files of a folder that are looked at to recognise it."""
+GREY = {"colored_0": "image_0"}
+"""Left colour camera -> the grey camera that the truth of its pairs is of."""
 CAMERAS, LIDAR = "calib_cam_to_cam", "calib_velo_to_cam"
 """What the files and folders of calibration are called; 2012 has another name for the cameras'."""
 CALIBRATION = "download data_scene_flow_calib.zip (2015), or the calib folder of data_stereo_flow.zip (2012)"
@@ -72,25 +72,17 @@ def recognises(path: Path) -> bool:
 
 def is_drive(folder: Path) -> bool:
     """Tell whether the folder is itself a split: one of its cameras has images of frame number 10."""
-    return any(_has_reference(folder / name) for name in NUMBERS)
+    return any(has_file(folder / name, REFERENCE) for name in NUMBERS)
 
 
 def open_drive(path: Path, options: DriveOptions) -> "KittiStereo":
     """Open one split; path is its folder, or the data set's with options.drive."""
     folder = choose(search(path, is_drive, BELOW), options.drive, path, "a split (training/image_2/000000_10.png)")
-    found = [left for left, _ in PAIRS if _has_reference(folder / left)]
+    found = [left for left, _ in PAIRS if has_file(folder / left, REFERENCE)]
     return KittiStereo(folder, options.camera or next(iter(found), "image_2"), options.truth)
 
 
-def _has_reference(folder: Path) -> bool:
-    try:
-        with scandir(folder) as entries:
-            return any(REFERENCE.fullmatch(entry.name) for entry in islice(entries, LOOKED_AT))
-    except OSError:
-        return False
-
-
-class KittiStereo(CameraDrive):
+class KittiStereo(SinglePairs):
     """One camera's view of the pairs of a split."""
 
     pairs = PAIRS
@@ -106,9 +98,8 @@ class KittiStereo(CameraDrive):
         self._truth_folder = self._find_truth()
         self.maps = {} if self._truth_folder is None else {"truth": stems(self._truth_folder, [".png"])}
         self._objects = stems(self.folder / "obj_map", [".png"]) if camera == "image_2" else {}
-        self._sweeps = stems(self.folder / "velodyne", [".bin"])
-        self.camera = self.camera_of(self.ids[0])
-        self.baseline_m = self.baseline_of(self.ids[0])
+        self.sweeps = stems(self.folder / "velodyne", [".bin"])
+        self.camera, self.baseline_m = self.first_readable()
         self.rig = KITTI
 
     @property
@@ -119,64 +110,76 @@ class KittiStereo(CameraDrive):
         return f"kitti_stereo{year}_{self.folder.name}" + ("" if usual else f"-{self.camera_name}")
 
     def describe(self) -> dict[str, Any]:
-        """Return what a manifest records: cameras differ by frame, and there is more than one truth."""
+        """Return what a manifest records: also which truth, of which there is more than one."""
         named = {} if self._truth_folder is None else {"truth_maps": self._truth_folder.name}
-        return {**super().describe(), "cameras": BY_FRAME, **named}
+        return {**super().describe(), **named}
 
     def sources(self) -> list[Path]:
         """List the calibration files of all frames."""
-        files = [self._calibration_file(id_) for id_ in self.ids]
+        files = [path for id_ in self.ids if (path := self._find_calibration(id_)) is not None]
         files += [path for id_ in self.ids if (path := self._lidar_file(id_)) is not None]
         return list(dict.fromkeys(files))
 
     def readers(self, id_: str) -> Readers:
-        """Return what can be read of a frame: also which pixels are cars, and a sweep."""
+        """Return what can be read of a frame: also which pixels are cars."""
         readers = super().readers(id_)
-        if self._lidar_file(id_) is not None:
-            readers["sweep"] = lambda offset=0: self._read_sweep(id_) if offset == 0 else None
         if id_ in self._objects:
             readers["foreground"] = lambda: self._read_objects(id_)
         return readers
 
     def files(self, id_: str) -> Files:
-        """Return which file each reader reads: also the cars' and the sweep's."""
-        files: Files = {
-            "foreground": lambda: self._objects.get(id_),
-            "sweep": lambda offset=0: self._sweeps.get(id_) if offset == 0 else None,
-        }
+        """Return which file each reader reads: also the cars'."""
+        files: Files = {"foreground": lambda: self._objects.get(id_)}
         return super().files(id_) | files
+
+    def can_place(self, id_: str) -> bool:
+        """Tell whether there is a file that says where a frame's sweep was taken."""
+        return self._lidar_file(id_) is not None
+
+    def notes(self) -> list[str]:
+        """Say where the truth is another camera's."""
+        if self._truth_folder is None or self.camera_name not in GREY:
+            return []
+        right_m, note = self._grey_right_m(self.ids[0]), f"truth is of {GREY[self.camera_name]}"
+        note += f", which stands {100 * right_m:.0f} cm to the right"
+        if self.baseline_m is not None:
+            note += f": a point of 45 px of disparity lies {45 * right_m / self.baseline_m:.1f} px beside it"
+        return [note]
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
         left = next(left for left, right in PAIRS if self.camera_name in (left, right))
         truth = f"{self.folder}: no {' or '.join(TRUTHS.get(left, ('disp_occ',)))}: test images have no public truth"
         if self._truth_folder is not None:
-            truth = f"{self._truth_folder}: no map {id_}.png"
+            truth = f"{self._truth_folder}: no map {id_}.png: download the pairs again"
         elif self.side == "right":
             truth = f"truth is of the left camera: leave out --camera, or choose {left}"
         elif left not in TRUTHS:
-            truth = f"truth of 2012 is of the grey camera: name it, --truth {self.folder / 'disp_occ'}, to take it here"
+            right_cm = 100 * self._grey_right_m(id_)
+            truth = f"truth of 2012 is of the grey camera, {right_cm:.0f} cm to the right: choose --camera {GREY[left]}"
+            truth += f", or take it as it is: --truth {self.folder / 'disp_occ'}"
         sweep = "KITTI's stereo benchmark has no sweeps: use stereo, or mono"
-        if id_ in self._sweeps:
+        if id_ in self.sweeps:
             sweep = f"{self._lidar_places(id_)[0]}: no such file, so the sweep cannot be placed: {CALIBRATION}"
-        elif self._sweeps:
-            sweep = f"{self.folder / 'velodyne'}: no sweep {id_}.bin"
+        elif self.sweeps:
+            sweep = f"{self.folder / 'velodyne'}: no sweep {id_}.bin: put it there"
         return {
-            "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras",
+            **super().missing(id_),
+            "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both: download the pairs again",
             "sweep": sweep,
             "truth": truth,
             "sparse": "KITTI's stereo benchmark has no sparse depth maps",
             "sky": "KITTI has no sky masks",
-            "foreground": f"{self.folder / 'obj_map'}: no map {id_}.png",
+            "foreground": f"{self.folder / 'obj_map'}: no map {id_}.png: download data_scene_flow.zip",
         }
 
     def camera_of(self, id_: str) -> Camera:
         """Return the frame's own camera."""
-        K, _ = self._projection(id_, self.camera_name)
-        size = self._calibration(self._calibration_file(id_)).get(f"S_rect_0{NUMBERS[self.camera_name]}")
+        K, _ = self.projection(id_, self.camera_name)
+        size = self._calibration(self.calibration_file(id_)).get(f"S_rect_0{NUMBERS[self.camera_name]}")
         if size is not None and size.size == 2:
             return Camera(K, (int(size[1]), int(size[0])))
-        return Camera(K, self._size_of(self.images[id_]))
+        return Camera(K, self.size_of(self.images[id_]))
 
     def T_cam_lidar(self, id_: str) -> Matrix | None:
         """Return the LiDAR's place by the frame's own calibration; None where it has no sweep."""
@@ -184,16 +187,9 @@ class KittiStereo(CameraDrive):
         T_cam0_velo = None if lidar is None else read_rigid(lidar)
         if T_cam0_velo is None:
             return None
-        cameras, R_rect = self._calibration_file(id_), np.eye(4)
+        cameras, R_rect = self.calibration_file(id_), np.eye(4)
         R_rect[:3, :3] = need(self._calibration(cameras), "R_rect_00", 9, cameras).reshape(3, 3)
-        return np.asarray(self._projection(id_, self.camera_name)[1] @ R_rect @ T_cam0_velo)
-
-    def baseline_of(self, id_: str) -> float | None:
-        """Return the baseline of the frame's own pair."""
-        if id_ not in self.others or self.partner is None:
-            return None
-        places = [self._projection(id_, name)[1][0, 3] for name in (self.camera_name, self.partner)]
-        return self.baseline(float(places[0] - places[1]), self._calibration_file(id_))
+        return np.asarray(self.projection(id_, self.camera_name)[1] @ R_rect @ T_cam0_velo)
 
     def read_map(self, path: Path, id_: str) -> Depth:
         """Read a disparity map as depth."""
@@ -203,9 +199,10 @@ class KittiStereo(CameraDrive):
             raise DataError(f"{path}: disparity without the other image {self.partner}/{id_}: download it")
         return Depth(convert_disparity(disparity_px, camera.fx, baseline_m))
 
-    @cached_property
-    def _size_of(self) -> Any:
-        return lru_cache(maxsize=None)(image_size)
+    def _grey_right_m(self, id_: str) -> float:
+        """Return how far to the right of a left colour camera the grey one stands, by the calibration, metres."""
+        colour, grey = (self.projection(id_, name)[1][0, 3] for name in next(iter(GREY.items())))
+        return float(colour - grey)
 
     def _read_objects(self, id_: str) -> Mask:
         path = self._objects[id_]
@@ -214,23 +211,23 @@ class KittiStereo(CameraDrive):
             raise DataError(f"{path}: expected a one-channel map of object numbers: download it again")
         return np.asarray(check_size(objects, path, self.camera_of(id_)) > 0)
 
-    def _read_sweep(self, id_: str) -> Sweep:
-        """Read a pair's sweep; there are no poses to place it in a world."""
-        return Sweep(read_sweep_file(self._sweeps[id_]), None)
-
-    def _projection(self, id_: str, camera: str) -> tuple[Matrix, Matrix]:
-        path, number = self._calibration_file(id_), NUMBERS[camera]
+    def projection(self, id_: str, camera: str) -> tuple[Matrix, Matrix]:
+        """Return K (3, 3) and T_cam_cam0 (4, 4) of a camera at a frame, metres."""
+        path, number = self.calibration_file(id_), NUMBERS[camera]
         values = self._calibration(path)
         key = f"P{number}" if f"P{number}" in values else f"P_rect_0{number}"
         return split_projection(need(values, key, 12, path).reshape(3, 4), key, path)
 
-    def _calibration_file(self, id_: str) -> Path:
+    def calibration_file(self, id_: str) -> Path:
         """Return the frame's calibration: its own, or the one that serves all frames."""
-        found = next((path for path in self._calibration_places(id_) if path in self._shared or path.is_file()), None)
+        found = self._find_calibration(id_)
         if found is None:
             wanted = self._calibration_places(id_)[0]
             raise DataError(f"{wanted}: no such file: {CALIBRATION}")
         return found
+
+    def _find_calibration(self, id_: str) -> Path | None:
+        return next((path for path in self._calibration_places(id_) if path in self._shared or path.is_file()), None)
 
     @cached_property
     def _shared(self) -> set[Path]:
@@ -244,7 +241,7 @@ class KittiStereo(CameraDrive):
 
     def _lidar_file(self, id_: str) -> Path | None:
         """Return the file that tells where a frame's sweep was taken; None where there is no sweep, or no such file."""
-        if id_ not in self._sweeps:
+        if id_ not in self.sweeps:
             return None
         return next((path for path in self._lidar_places(id_) if path in self._shared or path.is_file()), None)
 

@@ -1,4 +1,4 @@
-"""Make: a prior of somebody's depth maps."""
+"""Makes a prior of another program's depth maps."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from priors.errors import DataError, UsageError
 from priors.imported.encoding import Encoding
 from priors.imported.match import match
 from priors.records import record
-from priors.selection import pick_middles
+from priors.selection import first_readable, pick_middles
 from priors.sky import VERSION as SKY_VERSION
 from priors.types import Depth, Drive, FloatMap, Frame
 
@@ -101,7 +101,7 @@ def prepare(drive: Drive, folder: Path, encoding: Encoding, into: Path) -> Impor
     if encoding.unit is None and any(path.suffix.lower() == ".png" for path in files.values()):
         raise UsageError("--unit: a PNG does not tell what one is: --unit 1/256 is KITTI's, --unit mm nerfstudio's")
     encoding = encoding.plain()
-    frame = _first_frame(drive, files)
+    frame = first_readable(drive)
     manifest = {
         "format": cache.FORMAT,
         "code": version("roadprior"),
@@ -126,17 +126,6 @@ def shown(drive: Drive, numbers: FloatMap, id_: str) -> FloatMap:
     """Return a map of an image as it is stored, as the frame shows the image."""
     inner = getattr(drive, "drive", drive)  # of a drive with refined poses
     return inner.shown_map(numbers, id_) if isinstance(inner, CameraDrive) else numbers
-
-
-def _first_frame(drive: Drive, files: Mapping[str, Path]) -> Frame:
-    """Return the first frame of the drive that can be opened, as a build's key takes it."""
-    reason = DataError(f"{drive.name}: no frames: `priors check` tells what the drive lacks")
-    for index in range(len(drive)):
-        try:
-            return drive[index]
-        except DataError as error:
-            reason = error
-    raise reason
 
 
 def _digest_all(files: Mapping[str, Path]) -> str:

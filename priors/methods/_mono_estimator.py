@@ -10,6 +10,7 @@ from priors.codecs import FARTHEST_M
 from priors.error_model import WITHIN, chance_of
 from priors.methods._mono_align import Aligner
 from priors.methods._reference import ReferenceDepth
+from priors.recalibration import BELIEVED, Recalibration
 from priors.types import Camera, Depth, Drive, FloatMap, Frame, Image
 
 MOST_ALIGNED = 12
@@ -39,6 +40,8 @@ class Estimator:
     predict: Predict
     align: Align = lambda values, frame: values
     """Default: the values are metres."""
+    recalibration: Recalibration = BELIEVED
+    """Mends the confidences; default: they are believed."""
 
     def __call__(self, frame: Frame) -> Depth:
         """Make the depth map (height, width), metres along the camera's z axis."""
@@ -50,7 +53,7 @@ class Estimator:
             right = -np.expm1(-np.float32(TOLERANCE_M) / (depth_m * prediction.log_error))
         relative = chance_of(depth_m, prediction.log_error, WITHIN)
         trust = np.where(depth_m > 0, right, np.float32(0)).astype(np.float32)
-        return Depth(depth_m, trust, within_5_percent=relative)
+        return self.recalibration(Depth(depth_m, trust, within_5_percent=relative))
 
 
 def by_frame(aligner: Aligner, reference: ReferenceDepth) -> Align:

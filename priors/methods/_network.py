@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Self
 
+from priors.recalibration import Recalibration
+
 if TYPE_CHECKING:  # keeps PyTorch out of --help
     from priors.nets.graphs import Portable
     from priors.nets.runtime import Asked, Floating, Ready, Runtime
@@ -49,6 +51,13 @@ class Network:
         from priors.nets import int8, weights
 
         return (int8 if self.runtime == "int8" else weights).digest(self.file())
+
+    def recalibration(self) -> Recalibration:
+        """Return what mends its confidences: what was fitted for these very weights, whatever runs them."""
+        from priors.nets import weights
+
+        file = self.file()
+        return Recalibration.of(file.stem, weights.digest(file))
 
     def open(self) -> "Ready | Portable":
         """Load it, once a process for each file and runtime; DataError where its weights are missing or damaged.

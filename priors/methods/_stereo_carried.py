@@ -16,6 +16,7 @@ from priors.pairs.matching import half_match, halve
 from priors.pairs.read import Pair
 from priors.pairs.rectification import RectificationError
 from priors.pairs.smoothing import diffuse
+from priors.recalibration import CLASSICAL_STEREO, Recalibration
 from priors.types import Depth, Earlier, FloatMap, Frame, Mask, Matrix
 
 AGREE_PX, AGREE_SHARE = 2.0, 0.03
@@ -60,7 +61,8 @@ def carry_on(frame: Frame, pair: Pair, before: Earlier, error: RectificationErro
     merged = merge(frame, pair, pair.restore(carried_px), error)
     if merged is None:
         return None
-    fresh = classical.probability(merged.disparity_px, _expected_error(merged.evidence), fx_baseline)
+    stated = classical.probability(merged.disparity_px, _expected_error(merged.evidence), fx_baseline)
+    fresh = Recalibration.of(CLASSICAL_STEREO).own(stated)
     trust = pair.restore(trust)
     trust = np.where(merged.confirmed, trust, np.where(merged.kept, np.minimum(trust, fresh), fresh))
     has_value = merged.disparity_px > 0

@@ -13,6 +13,7 @@ from priors.methods._mono_estimator import Estimator, Predict, Prediction, by_dr
 from priors.methods._mono_size import share_of
 from priors.methods._network import Network
 from priors.methods._reference import READS, ReferenceDepth
+from priors.recalibration import BELIEVED, Recalibration
 from priors.resized import Resized
 from priors.selection import parse_hold_out, parse_range, select
 from priors.types import Camera, Depth, Drive, Frame, Input, Method
@@ -56,7 +57,7 @@ class Mono(Method):
     """Range a:b of the frames to adapt and align on, as --frames; hold_out counts inside it. Default: the whole drive,
     whatever --frames says."""
 
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
     """To be raised too where what it learns from or is aligned to changes: the maps of lidar and stereo."""
     BEFORE: ClassVar[Mapping[str, Any]] = {"resize": "none"}
 
@@ -161,14 +162,14 @@ class Mono(Method):
         network = self.network
         if self.adapt != "none":
             network = self._adapt(self.adapt, drive, indices, folder, on_note)
-        predict = self._predict(network)
+        predict, mending = self._predict(network), self.recalibration(network)
         aligner = self._aligner()
         if aligner is None:
-            return Estimator(predict)
+            return Estimator(predict, recalibration=mending)
         reference = ReferenceDepth.choose(self.align_to, drive[indices[0]])
         if self.align_per == "frame":
-            return Estimator(predict, by_frame(aligner, reference))
-        return Estimator(predict, by_drive(aligner, reference, predict, drive, indices, on_note))
+            return Estimator(predict, by_frame(aligner, reference), mending)
+        return Estimator(predict, by_drive(aligner, reference, predict, drive, indices, on_note), mending)
 
     @threads.limited(None)
     def __call__(self, frame: Frame) -> Depth:
@@ -179,11 +180,14 @@ class Mono(Method):
         if self._needs_drive:
             raise DataError("mono: adapting, or aligning once for the drive, needs the drive: call prepare first")
         aligner = self._aligner()
+        predict, mending = self._predict(self.network), self.recalibration(self.network)
         if aligner is None:
-            return Estimator(self._predict(self.network))(frame)
-        return Estimator(self._predict(self.network), by_frame(aligner, ReferenceDepth.choose(self.align_to, frame)))(
-            frame
-        )
+            return Estimator(predict, recalibration=mending)(frame)
+        return Estimator(predict, by_frame(aligner, ReferenceDepth.choose(self.align_to, frame)), mending)(frame)
+
+    def recalibration(self, network: Network | None = None) -> Recalibration:
+        """Return what mends the confidences of a network, this config's if none is given; a user's own has none."""
+        return BELIEVED if self._foreign is not None else (network or self.network).recalibration()
 
     def _output(self) -> str:
         """Return what the network gives: metric-depth, relative-depth or disparity."""

@@ -19,6 +19,7 @@ from priors.pairs.matching import largest_disparity, match, quarter_match
 from priors.pairs.read import Pair, baseline, find_range, measure_rectification, read_pair
 from priors.pairs.rectification import NONE, RectificationError
 from priors.pairs.rows import measure_rows, raise_rows
+from priors.recalibration import CLASSICAL_STEREO, Recalibration
 from priors.sky import doubt, rows_below, sky_mask
 from priors.types import Depth, Earlier, FloatMap, Frame, Image, Input, Method
 
@@ -59,7 +60,7 @@ class Stereo(Method):
     """How many rows the other image lies too low, px, negative where too high: it is shifted back. Default: measured on
     the drive's first pair, and left as it is below 0.75 px."""
 
-    VERSION: ClassVar[int] = 1
+    VERSION: ClassVar[int] = 2
     BEFORE: ClassVar[Mapping[str, Any]] = {"rows_px": None}
 
     def __post_init__(self) -> None:
@@ -184,6 +185,14 @@ class Stereo(Method):
         Raises DataError where the pair, its baseline or the network's weights are missing, where the two images differ
         in size, and where left and right are swapped.
         """
+        return self.recalibration()(self._as_stated(frame))
+
+    def recalibration(self) -> Recalibration:
+        """Return what mends the confidences."""
+        return Recalibration.of(CLASSICAL_STEREO) if self.network is None else self.network.recalibration()
+
+    def _as_stated(self, frame: Frame) -> Depth:
+        """Make the depth map with the confidences that the matcher states."""
         fx_baseline = frame.camera.fx * baseline(frame)
         pair = self._level(read_pair(frame))
         needed_px = self._search_beyond(find_range(frame, pair))

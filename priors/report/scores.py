@@ -7,6 +7,7 @@ import numpy as np
 
 from eval import table
 from eval.curves import Curves
+from eval.reliability import BINS, Reliability
 from eval.result import Result
 from priors.cache import Prior
 from priors.draw.lines import Line, Plot
@@ -28,6 +29,8 @@ class DriveScores:
     """A row of the table each, scored by one protocol; none where there is no truth."""
     curves: dict[str, list[Curves]] = field(default_factory=dict)
     """By a prior's name, of those with a confidence, where curves were asked for."""
+    reliability: dict[str, list[Reliability]] = field(default_factory=dict)
+    """By a prior's name, of those that state a probability, where it was asked for."""
     wipe: Wipe | None = None
     """Where a page was asked for."""
     priors: dict[str, Prior] = field(default_factory=dict)
@@ -71,6 +74,7 @@ def priors_chapter(scored: DriveScores, keys: Sequence[str] | None) -> Chapter:
     """Lay out one drive's priors."""
     plots = [plot for name, made in scored.curves.items() for plot in sparsification(name, made)]
     columns = max(map(len, scored.curves.values()), default=1)
+    diagrams = [plot for name, found in scored.reliability.items() for plot in reliability_plots(name, found)]
     missing = [f"{what}: {why}" for what, why in scored.left_out.items()]
     figures: list[Block] = []
     if scored.results:
@@ -88,6 +92,9 @@ def priors_chapter(scored: DriveScores, keys: Sequence[str] | None) -> Chapter:
             Section("Frames", [] if scored.wipe is None else [scored.wipe]),
             Section("Error by true distance", [Figure(by_range(scored.results))] if scored.results else []),
             Section("Sparsification", [Paragraph(SPARSIFICATION), Figure(plots, columns)] if plots else []),
+            Section(
+                "Reliability", [Paragraph(RELIABILITY), Figure(diagrams, min(len(diagrams), 4))] if diagrams else []
+            ),
             Section("How the priors were made", [records(scored.priors)] if scored.priors else []),
         ],
     )
@@ -96,6 +103,11 @@ def priors_chapter(scored: DriveScores, keys: Sequence[str] | None) -> Chapter:
 SPARSIFICATION = (
     "The error of what is kept as the least confident pixels are dropped. A useful confidence lies below 'farthest "
     "first' and near the oracle, which drops the largest errors first."
+)
+
+RELIABILITY = (
+    "The share of values that is right, for each probability that a prior states. On the diagonal what is said comes "
+    "true; below it the prior is too sure. The bins' own line is the share of values that lie in each."
 )
 
 
@@ -130,6 +142,24 @@ def sparsification(name: str, made: Sequence[Curves]) -> list[Plot]:
         ]
         plots.append(Plot(lines, "pixels kept, %", _axis(curve.metric), name))
     return plots
+
+
+def reliability_plots(name: str, made: Sequence[Reliability]) -> list[Plot]:
+    """Plot what came true against what was stated, and how many values each bin holds, one plot a reading."""
+    middles = (np.arange(BINS) + 0.5) / BINS
+    return [
+        Plot(
+            [
+                Line("right", 100 * one.stated, 100 * one.right),
+                Line("share of the values in the bin", 100 * middles, 100 * one.share),
+                Line("as stated", np.array([0.0, 100.0]), np.array([0.0, 100.0]), dashed=True),
+            ],
+            f"stated probability of an error within {one.within}, %",
+            "values, %",
+            f"{name}: calibration error {one.error:.3f}",
+        )
+        for one in made
+    ]
 
 
 def by_range(results: Sequence[Result]) -> list[Plot]:

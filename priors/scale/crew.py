@@ -51,6 +51,7 @@ def plan_drive(number: int, order: Order, size: int) -> Iterator[Part | Stretch]
         plan = job.plan(order.selection)
         job.restamp(plan)
         if plan.todo:
+            job.expect_room(plan)
             tries.forget(job.prior.folder)
             with threads.limited(threads.count()):
                 job.begin(lambda frame_id: None, lambda line: None)

@@ -1,6 +1,7 @@
 """The local engine: many drives on this machine, one after the other, frames in threads."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 from priors.errors import DataError, told
 from priors.scale.order import Order
@@ -30,5 +31,10 @@ def _build(number: int, order: Order, workers: int, on_part: OnPart, on_note: On
     job = order.prepare()
     plan = job.plan(order.selection)
     on_part(Part.of_plan(number, job.prior, plan))
-    report = job.run(plan, workers, lambda frame_id: on_part(Part(number, done=1)), on_note)
+    try:
+        report = job.run(plan, workers, lambda frame_id: on_part(Part(number, done=1)), on_note)
+    except OSError as error:  # a full disk: what was built before counts
+        built = [id_ for id_ in (job.drive.ids[index] for index in plan.todo) if job.prior.has(id_)]
+        on_part(replace(Part.of_frames(number, job.prior, built, {}), done=0, error=told(error)))
+        return
     on_part(Part.of_report(number, report))

@@ -7,6 +7,7 @@ the cache by then and is not computed twice (priors/build/work.py); what kills i
 (tries.py). Only numbers and lines of text travel.
 """
 
+import logging
 import pickle
 from collections.abc import Iterator, Sequence
 from types import ModuleType
@@ -52,6 +53,7 @@ def _parts(ray: ModuleType, orders: Sequence[Order], crew: tuple[int, Share]) ->
     from ray import data
 
     workers, share = crew
+    logging.getLogger("ray.data").setLevel(logging.ERROR)  # its import has set another level
     context = data.DataContext.get_current()
     context.enable_progress_bars = False
     context.print_on_execution_start = False

@@ -14,6 +14,8 @@ from priors.cache.store import mirror, publish
 
 NAME = "summary.json"
 FORMAT = 1
+SUMS = ("todo", "cached", "skipped", "done", "built", "seconds", "density")
+"""What is added up."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,21 @@ class Part:
     """Frame id -> one-line error."""
     error: str = ""
     """Why nothing can be built of the drive."""
+
+    def __add__(self, other: Self) -> Self:
+        """Return what came of the frames of both; drive, folder and error are the other's where it says them."""
+        sums = {name: getattr(self, name) + getattr(other, name) for name in SUMS}
+        folder, error = other.folder or self.folder, other.error or self.error
+        return replace(other, **sums, folder=folder, failed={**self.failed, **other.failed}, error=error)
+
+    @property
+    def left(self) -> int:
+        """Frames of `todo` that were not reached."""
+        return max(self.todo - self.done, 0)
+
+    def means(self) -> dict[str, float | None]:
+        """Return seconds and density of a built frame; None where there is none."""
+        return {name: getattr(self, name) / self.built if self.built else None for name in ("seconds", "density")}
 
     def pack(self) -> str:
         """Return it as JSON; `unpack` undoes it."""
@@ -75,40 +92,29 @@ class Part:
 
 @dataclass
 class Tally:
-    """What came of one drive."""
+    """What came of one drive: its parts, added up."""
 
     name: str
     """What tables call it."""
     place: str
     """Where it is."""
-    folder: str = ""
-    todo: int = 0
-    cached: int = 0
-    skipped: int = 0
-    done: int = 0
-    built: int = 0
-    seconds: float = 0.0
-    density: float = 0.0
-    failed: dict[str, str] = field(default_factory=dict)
-    error: str = ""
+    part: Part = Part(0)
+    """All of them together."""
 
     def add(self, part: Part) -> None:
         """Take a part in."""
-        for name in ("todo", "cached", "skipped", "done", "built", "seconds", "density"):
-            setattr(self, name, getattr(self, name) + getattr(part, name))
-        self.failed.update(part.failed)
-        self.folder, self.error = part.folder or self.folder, part.error or self.error
+        self.part += part
 
     @property
     def is_whole(self) -> bool:
         """Whether nothing failed."""
-        return not self.error and not self.failed and self.done >= self.todo
+        return not self.part.error and not self.part.failed and not self.part.left
 
     def record(self) -> dict[str, Any]:
         """Return it as JSON holds it; seconds and density are means over the built frames, None where there is none."""
-        means = {name: getattr(self, name) / self.built if self.built else None for name in ("seconds", "density")}
-        left = {"unfinished": self.todo - self.done} if self.done < self.todo else {}
-        return asdict(self) | means | left
+        added = {name: value for name, value in asdict(self.part).items() if name != "drive"}
+        left = {"unfinished": self.part.left} if self.part.left else {}
+        return {"name": self.name, "place": self.place, **added} | self.part.means() | left
 
 
 def write_summary(cache: Path, command: str, tallies: Sequence[Tally]) -> Path:

@@ -13,6 +13,7 @@ AHEAD = 2
 """Tasks that are given out for each process there is room for: one runs, one waits."""
 RETRIES = 2
 """A task whose process or node died is tried so often again."""
+WAIT_S = 2.0
 Item = TypeVar("Item")
 Made = TypeVar("Made")
 
@@ -29,7 +30,11 @@ class Done(Generic[Made]):
 
 
 def run_tasks(
-    ray: ModuleType, function: Callable[[Item], Made], items: Sequence[Item], share: Share
+    ray: ModuleType,
+    function: Callable[[Item], Made],
+    items: Sequence[Item],
+    share: Share,
+    on_wait: Callable[[], None] = lambda: None,
 ) -> Iterator[Done[Made]]:
     """Call a function with each item, in processes of the cluster; give what comes of each as soon as it is there.
 
@@ -38,6 +43,7 @@ def run_tasks(
         function: of a module that all nodes have; its DataErrors are told.
         items: what it is called with; they travel.
         share: what each call gets of a node.
+        on_wait: called every WAIT_S while tasks run, to look how far they are.
 
     Raises:
         DataError: no node is large enough.
@@ -52,8 +58,11 @@ def run_tasks(
             pending[task.remote(function, item, share.cpus)] = number
         if not pending:
             return
-        (ready, *_), _ = ray.wait(list(pending), num_returns=1)
-        yield _result(ray, ready, pending.pop(ready))
+        done, _ = ray.wait(list(pending), num_returns=1, timeout=WAIT_S)
+        if not done:
+            on_wait()
+        for ready in done:
+            yield _result(ray, ready, pending.pop(ready))
 
 
 def _called(function: Callable[[Item], Made], item: Item, cores: int) -> tuple[Made | None, str]:

@@ -3,51 +3,32 @@
     python tests/bench/scale.py --rows 1000 10000 100000
 
 Prints, for each number of rows (drive, frame): wall time, time from the start of the build to its first result,
-processor time a frame of all processes with Ray and of the local engine on the same frames, and the driver's memory.
-Their difference is what the scheduler costs a frame. Starting Ray is told apart.
+processor time of all processes until then, and a frame after then; that of the local engine on such frames; and the
+driver's memory. What a frame takes more than locally is the scheduler's: once it runs, and with its start shared out.
+Starting Ray itself is told apart.
 """
 
 import argparse
 import os
 import resource
-import sys
 import tempfile
 import time
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from processes import processor_s
+
+if TYPE_CHECKING:
+    from priors.scale.tally import Part
 
 FLEET = Path(__file__).resolve().parents[1] / "fleet"
 os.environ["ROADPRIOR_EXTENSIONS"] = str(FLEET)
-TICK_S = 1 / os.sysconf("SC_CLK_TCK")
 FRAMES = 100
 """Of a drive, at most: 1000 rows are ten drives."""
-
-
-def descendants() -> list[int]:
-    """List the processes below this one."""
-    parents: dict[int, list[int]] = {}
-    for stat in Path("/proc").glob("[0-9]*/stat"):
-        try:
-            fields = stat.read_text("utf-8").rpartition(")")[2].split()
-        except OSError:
-            continue
-        parents.setdefault(int(fields[1]), []).append(int(stat.parent.name))
-    found, level = [], [os.getpid()]
-    while level:
-        level = [child for parent in level for child in parents.get(parent, [])]
-        found += level
-    return found
-
-
-def processor_s() -> float:
-    """Return the processor time of this process and all below it, those that ended too where they were waited for."""
-    total = time.process_time()
-    for pid in descendants():
-        try:
-            fields = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()
-        except OSError:
-            continue
-        total += sum(map(int, fields[11:15])) * TICK_S
-    return total
+HEAD = """| rows | wall s | first result after s | processor s until then | ms a frame after then | locally \
+| scheduler, steady | scheduler, with its start | driver MB |
+|---:|---:|---:|---:|---:|---:|---:|---:|---:|"""
 
 
 def peak_mb() -> float:
@@ -65,14 +46,13 @@ def write_drives(folder: Path, rows: int) -> list[Path]:
     return drives
 
 
-def simulate(rows: int, nap_s: float, cpus: int) -> None:
+def simulate(rows: int, nap_s: float) -> None:
     from priors.methods.fragile import Fragile  # type: ignore[import-not-found]
     from priors.scale.drive_list import DriveEntry
     from priors.scale.here import build_here
     from priors.scale.on_ray import build_on_ray
     from priors.scale.order import Order
     from priors.scale.ray_session import Share
-    from priors.scale.tally import Part
 
     with tempfile.TemporaryDirectory() as home:
         drives = write_drives(Path(home) / "drives", rows)
@@ -80,50 +60,54 @@ def simulate(rows: int, nap_s: float, cpus: int) -> None:
         def orders(cache: str) -> list[Order]:
             return [Order(DriveEntry(drive, "counted"), Fragile(nap_s), cache=Path(home) / cache) for drive in drives]
 
-        began, first, done = time.perf_counter(), 0.0, 0
-
-        def count(part: Part) -> None:
-            nonlocal first, done
-            done += part.built
-            if part.built and not first:
-                first = time.perf_counter() - began
-
-        before = processor_s()
-        build_on_ray(orders("ray"), 1, count, Share(1))
+        began, before = time.perf_counter(), processor_s()
+        first = First()
+        build_on_ray(orders("ray"), 1, first, Share(1))
         wall_s, spent_s, memory_mb = time.perf_counter() - began, processor_s() - before, peak_mb()
-        assert done == rows, f"{done} of {rows} rows built"
+        assert first.done == rows, f"{first.done} of {rows} rows built: {first.failed}"
         own = time.process_time()
         sample = orders("local")[: max(1, min(10, len(drives)))]
         built = sum(min(FRAMES, rows) for _ in sample)
         build_here(sample, 1, lambda part: None)
         local_ms = 1000 * (time.process_time() - own) / built
-    ray_ms = 1000 * spent_s / rows
-    print(
-        f"{rows:7d} rows of {len(drives):4d} drives: {wall_s:7.1f} s, first result {first:5.1f} s, processor a frame: "
-        f"{ray_ms:.2f} ms with Ray, {local_ms:.2f} ms locally, scheduler {ray_ms - local_ms:.2f} ms; "
-        f"driver {memory_mb:.0f} MB",
-        flush=True,
-    )
+    started_s = first.processor_s - before
+    steady_ms = 1000 * (spent_s - started_s) / max(rows - first.with_it, 1)
+    cells = [f"{rows}", f"{wall_s:.1f}", f"{first.at_s - began:.1f}", f"{started_s:.1f}", f"{steady_ms:.2f}"]
+    cells += [f"{local_ms:.2f}", f"{steady_ms - local_ms:.2f}", f"{1000 * spent_s / rows - local_ms:.2f}"]
+    print(f"| {' | '.join(cells)} | {memory_mb:.0f} |", flush=True)
+
+
+@dataclass
+class First:
+    """Notes when the first frame was built, and what had been spent by then."""
+
+    done: int = 0
+    with_it: int = 0
+    """Frames that were built in the first stretch."""
+    at_s: float = 0.0
+    processor_s: float = 0.0
+    failed: dict[str, str] = field(default_factory=dict)
+
+    def __call__(self, part: "Part") -> None:
+        """Count a part."""
+        self.done += part.built
+        self.failed |= part.failed
+        if part.built and not self.with_it:
+            self.with_it, self.at_s, self.processor_s = part.built, time.perf_counter(), processor_s()
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--rows", type=int, nargs="+", default=[1000, 10_000])
     parser.add_argument("--nap-s", type=float, default=0.0)
-    parser.add_argument("--cpus", type=int, default=os.cpu_count() or 1)
     asked = parser.parse_args()
-    sys.path.insert(0, str(FLEET.parents[1]))
-    from priors.scale.ray_session import import_ray
+    from priors.scale.ray_session import session
 
-    ray = import_ray()
     began = time.perf_counter()
-    passed = {"ROADPRIOR_EXTENSIONS": str(FLEET), "PYTHONPATH": str(FLEET.parents[1])}
-    given = {"log_to_driver": False, "logging_level": 40, "runtime_env": {"env_vars": passed}}
-    ray.init(num_cpus=asked.cpus, include_dashboard=False, object_store_memory=100 * 2**20, **given)
-    print(f"Ray starts in {time.perf_counter() - began:.1f} s on {asked.cpus} cores", flush=True)
-    for rows in asked.rows:
-        simulate(rows, asked.nap_s, asked.cpus)
-    ray.shutdown()
+    with session(None):
+        print(f"Ray starts in {time.perf_counter() - began:.1f} s on {os.cpu_count()} cores\n\n{HEAD}", flush=True)
+        for rows in asked.rows:
+            simulate(rows, asked.nap_s)
 
 
 if __name__ == "__main__":
