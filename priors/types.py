@@ -141,6 +141,8 @@ class Frame:
     """(4, 4) camera to world, metres."""
     T_cam_lidar: Matrix | None = None
     """(4, 4) LiDAR to camera, metres."""
+    posed: Literal["camera", "lidar"] = "camera"
+    """Whose poses the drive has; those of the other follow by T_cam_lidar."""
     time_s: float | None = None
     """Seconds since the drive's first frame."""
     baseline_m: float | None = None

@@ -96,6 +96,7 @@ class KittiRaw(NumberedDrive):
 
     pairs = (("image_00", "image_01"), ("image_02", "image_03"))
     usual_camera = "image_02"
+    posed = "lidar"
 
     def __init__(
         self, folder: Path, camera: str = "image_02", truth: Path | None = None, *, by_velocity: bool = True
