@@ -1,4 +1,4 @@
-"""Mistyped arguments: one line that says what is wrong and what comes nearest."""
+"""Mistyped arguments: one line says what is wrong and which flag or value comes nearest."""
 
 import io
 import re

@@ -1,4 +1,4 @@
-"""Whose flag it is: which commands have a flag that another one was given.
+"""Which commands have a flag: for the message where it was given to another command.
 
 Every command's file has `ARGUMENTS`: command -> the dataclass of its arguments.
 """

@@ -1,4 +1,4 @@
-"""Stand-ins for characters that a stream cannot say: a name or a table is printed all the same, in cp1252 and ASCII."""
+"""Replacements for characters that a terminal's encoding lacks (cp1252, ASCII), so that printing never fails."""
 
 import codecs
 import io

@@ -1,4 +1,4 @@
-"""The two streams of a command. Text is printed as it is: a name's square brackets are no markup."""
+"""Standard output and standard error of a command. Text is printed as it is: square brackets in names are no markup."""
 
 import os
 import sys

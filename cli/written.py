@@ -1,4 +1,4 @@
-"""What a command is asked to write: a file or a folder that cannot be is told before any work."""
+"""Checks before any work that the file or the folder that a command will write can be written."""
 
 import tempfile
 from collections.abc import Collection

@@ -1,4 +1,4 @@
-"""The one error that a user reads; every other error is a fault of ours."""
+"""The one error that a user can mend. Every other error is a bug of roadprior."""
 
 
 class DataError(Exception):

@@ -1,4 +1,4 @@
-"""Atomic writes: a reader finds the old file or the whole new one, and a kill leaves no half."""
+"""Atomic writes: a reader finds the old file or the whole new one, and a killed writer leaves no half file."""
 
 import os
 import time

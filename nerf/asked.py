@@ -1,4 +1,4 @@
-"""What a run was asked for, as its config.json holds it: enough to go on with it from its folder alone."""
+"""The request of a run, as config.json holds it: it is enough to go on with the run from its folder alone."""
 
 import json
 from dataclasses import asdict, dataclass

@@ -1,4 +1,4 @@
-"""The baseline of a table: the warp of the same frames, which is not trained. A field has to beat it, or it is told."""
+"""The baseline of a table: the warp of the same frames, untrained. The table tells where a field is worse than it."""
 
 from collections.abc import Sequence
 

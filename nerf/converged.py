@@ -1,4 +1,4 @@
-"""Which parts of the training images are learned already: their rays are drawn less often, and then count for more.
+"""Which parts of the training images are learned already. Their rays are drawn less often, with a larger weight.
 
 Images are cut into tiles, and each tile keeps a running mean of its rays' loss. A ray's gradient goes with the root of
 its loss, so that is what roulette weighs by (nerf.roulette): rays of tiles that are no better than the batch's mean

@@ -1,4 +1,4 @@
-"""Whether a fit's numbers are still numbers, and if not, what made them none: an input by its frame, or a setting.
+"""Finds NaN and infinity in a fit, and what caused them: a frame's input, or a setting.
 
 Once a gradient is NaN, every parameter soon is. A look at a step's losses is enough to see it, and a look at all
 tensors tells whether a checkpoint is good.

@@ -1,4 +1,4 @@
-"""Guides: where the depth of a prior comes from - a prior's folder in a cache, or the drive's own truth.
+"""Where a fit's depth comes from: a prior's folder in a cache, or the drive's own truth.
 
 The truth is the study's GT rows: what a fit gains from depth without an error. A held-out frame's truth is what its
 view is scored against, so it is never read for a fit.

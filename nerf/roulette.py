@@ -1,4 +1,4 @@
-"""Russian roulette (Arvo and Kirk, SIGGRAPH 1990): what hardly matters is taken rarely, and then counts for more.
+"""Russian roulette (Arvo and Kirk, SIGGRAPH 1990): what matters little is computed rarely, with a larger weight.
 
 What is kept with probability p counts 1 / p, so that sums over what is kept are right on average.
 """

@@ -191,7 +191,7 @@ def _axes(T_world_cam: Poses) -> npt.NDArray[np.float64]:
     The path comes first, then the cameras' mean down; where one says nothing, where they look and their right do.
     """
     positions_m = T_world_cam[:, :3, 3]
-    _, spread, ways = np.linalg.svd(positions_m - positions_m.mean(axis=0), full_matrices=True)
+    _, spread, ways = np.linalg.svd(positions_m - positions_m.mean(axis=0), full_matrices=False)
     right, down, ahead = T_world_cam[:, :3, :3].mean(axis=0).T
     moves = spread[0] / np.sqrt(len(positions_m)) >= SHORT_M
     axes: list[npt.NDArray[np.float64]] = []

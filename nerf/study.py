@@ -29,7 +29,7 @@ from nerf.report import Report
 from nerf.run import Run, claim
 from nerf.split import in_name
 from priors.errors import DataError, UsageError
-from priors.filters import Filters
+from priors.filters import Filters, Sorts
 from priors.records import upgrade
 from priors.types import Drive
 
@@ -65,6 +65,8 @@ class RunSpec:
     """Of the run."""
     over_all: bool = False
     """The depth loss is the mean over all rays, not over those with a prior."""
+    keep_by: Sorts | None = None
+    """What confidence and keep go by; None: the method's own confidence, and where neither is given."""
 
     @property
     def prior_name(self) -> str:
@@ -76,6 +78,7 @@ class RunSpec:
         """Folder of the run: what differs from the defaults, in a fixed order."""
         parts = [self.field, in_name(self.views), self.prior_name, self.loss or ""]
         parts += [f"{key}{getattr(self, key):.10g}" for key in SHARES if getattr(self, key) is not None]
+        parts += [f"by{self.keep_by}"] if self.keep_by is not None else []
         words = ["masked"] * self.truth_mask + ["overall"] * self.over_all
         return "-".join([part for part in parts if part] + [*words, f"seed{self.seed}"])
 
@@ -87,6 +90,7 @@ class RunSpec:
             confidence=self.confidence,
             keep=self.keep,
             density=self.density,
+            keep_by=self.keep_by,
         )
 
 
@@ -116,6 +120,8 @@ class Study:
     """Every run is made once a seed; the table holds the means."""
     over_all: tuple[bool, ...] = (False,)
     """Whether the depth loss is the mean over all rays, not over those with a prior."""
+    keep_bys: tuple[Sorts | None, ...] = (None,)
+    """What confidences and keeps go by: None is the method's own confidence."""
 
     def __post_init__(self) -> None:
         for each in fields(self):
@@ -134,7 +140,10 @@ class Study:
         """
         choices = (self.fields, self.views, self.priors, self.losses, self.clips, self.confidences, self.keeps)
         grid = itertools.product(*choices, self.truth_masks, self.densities, self.seeds)
-        specs = (replace(RunSpec(*choice), over_all=over_all) for choice in grid for over_all in self.over_all)
+        specs = (
+            replace(RunSpec(*choice), over_all=over_all, keep_by=keep_by)
+            for choice, over_all, keep_by in itertools.product(grid, self.over_all, self.keep_bys)
+        )
         runs = list(dict.fromkeys(made for spec in specs if (made := _reduced(spec)) is not None))
         if not runs:
             raise UsageError(f"--field {self.fields[0]}: shows frames by a prior's depth: name one by --priors cache/")
@@ -259,6 +268,8 @@ def _reduced(spec: RunSpec) -> RunSpec | None:
     """Return a run without the choices that change nothing in it; None where it cannot be made."""
     if not is_trained(spec.field):
         return None if spec.prior == NONE else replace(spec, loss=None, seed=0, over_all=False)
+    if spec.keep is None and spec.confidence is None:
+        spec = replace(spec, keep_by=None)
     return RunSpec(spec.field, spec.views, NONE, seed=spec.seed) if spec.prior == NONE else spec
 
 

@@ -44,8 +44,8 @@ COLUMNS = {
 """In a narrow terminal the last ones are left out first."""
 LEAD = ("field", "views", "prior")
 """What every table names first; rows of one field and one choice of views are ranked together."""
-_CHOICES = ("loss", *SHARES, "truth_mask", "over_all")
-_HEADS = {"truth_mask": "pixels", "over_all": "mean over"}
+_CHOICES = ("loss", *SHARES, "keep_by", "truth_mask", "over_all")
+_HEADS = {"keep_by": "keep by", "truth_mask": "pixels", "over_all": "mean over"}
 
 
 def lay_out(outcomes: Sequence[Outcome]) -> Table:
@@ -185,6 +185,8 @@ def _write(spec: RunSpec, key: str) -> str:
         return "with truth" if value else "all"
     if key == "over_all":
         return "all rays" if value else "rays with a prior"
+    if key == "keep_by":
+        return value or "its own"
     if key == "loss":
         return value or "-"
     if value is None:

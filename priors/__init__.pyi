@@ -12,3 +12,5 @@ from priors.types import Depth as Depth
 from priors.types import Drive as Drive
 from priors.types import Frame as Frame
 from priors.types import Method as Method
+
+__version__: str

@@ -203,12 +203,12 @@ def _load_numpy(path: Path) -> npt.NDArray[np.floating]:
         return np.asarray(array, dtype=np.float32)
 
 
-def read_bytes(path: Path) -> bytes:
-    """Read a file; DataError where it is missing or cannot be read."""
+def read_bytes(path: Path, lost: str = "") -> bytes:
+    """Read a file; DataError where it is missing, which `lost` mends, or cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
-        raise unreadable(path, error) from error
+        raise unreadable(path, error, lost) from error
 
 
 def _decode(data: bytes, path: Path) -> npt.NDArray[Any]:

@@ -16,10 +16,13 @@ MENDS = {
 """What to do about a file that cannot be read, by the kind of the system's error."""
 
 
-def unreadable(path: object, error: OSError) -> DataError:
-    """Return the error to raise where a file could not be read: which file, the system's reason, and what to do."""
+def unreadable(path: object, error: OSError, lost: str = "") -> DataError:
+    """Return the error to raise where a file could not be read: which file, the system's reason, and what to do.
+
+    `lost` says what to do where there is no such file.
+    """
     if isinstance(error, FileNotFoundError):
-        return DataError(f"{path}: no such file")
+        return DataError(f"{path}: no such file" + (f": {lost}" if lost else ""))
     mend = next((mend for kind, mend in MENDS.items() if isinstance(error, kind)), "copy or download it again")
     return DataError(f"{path}: cannot be read ({error.strerror or error}): {mend}")
 

@@ -29,7 +29,7 @@ def parse_pose(line: str, where: str) -> Matrix:
     try:
         numbers = np.array([float(word) for word in line.split()])
     except ValueError as error:
-        raise DataError(f"{where}: not 12 numbers: {line.strip()[:40]!r}") from error
+        raise DataError(f"{where}: not 12 numbers: {line.strip()[:40]!r}: repair it or leave the frame out") from error
     if numbers.size != 12 or not np.isfinite(numbers).all():
         wrong = f"{numbers.size} numbers" if numbers.size != 12 else "NaN or inf"
         raise DataError(f"{where}: a pose should be 12 finite numbers, found {wrong}: repair it or leave the frame out")

@@ -145,8 +145,7 @@ class MotionGate:
         if self.min_motion_m <= 0:
             return None
         if frame.T_world_cam is None:
-            why = frame.missing.get("pose", "this drive has none")
-            raise DataError(f"frame {frame.id}: --min-motion needs poses: {why}: leave it out")
+            raise DataError(f"frame {frame.id}: --min-motion needs poses: {frame.why_unplaced()}: leave it out")
         position_m = frame.T_world_cam[:3, 3]
         if self.last_m is not None:
             moved_m = float(np.linalg.norm(position_m - self.last_m))

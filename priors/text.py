@@ -34,10 +34,11 @@ class Line:
         return self.text.split()
 
 
-def read_text(path: Path) -> str:
+def read_text(path: Path, lost: str = "") -> str:
     """Read a small text file, its lines ended by \\n.
 
-    A byte that is no UTF-8 is read as Latin-1: names and numbers are ASCII and the same in both.
+    A byte that is no UTF-8 is read as Latin-1: names and numbers are ASCII and the same in both. `lost` says what to do
+    where there is no such file.
 
     Raises:
         DataError: it is missing, cannot be read, or is no text.
@@ -45,7 +46,7 @@ def read_text(path: Path) -> str:
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise unreadable(path, error) from error
+        raise unreadable(path, error, lost) from error
     for encoding in _encodings(data):
         try:
             text = data.decode(encoding)
@@ -56,23 +57,23 @@ def read_text(path: Path) -> str:
     raise DataError(f"{path}: is not text: write it again as plain UTF-8")
 
 
-def read_lines(path: Path) -> list[Line]:
+def read_lines(path: Path, lost: str = "") -> list[Line]:
     """Read a text file's lines; those that hold nothing but a comment are left out, empty ones are kept.
 
-    A comment begins with # at the line's start or behind a blank.
+    A comment begins with # at the line's start or behind a blank. `lost` says what to do where there is no such file.
     """
     lines = []
-    for number, text in enumerate(read_text(path).removesuffix("\n").split("\n"), 1):
+    for number, text in enumerate(read_text(path, lost).removesuffix("\n").split("\n"), 1):
         bare = COMMENT.sub("", text).strip()
         if bare or not text.strip():
             lines.append(Line(number, bare))
     return lines
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object; DataError where it is missing, damaged or not an object."""
+def read_json(path: Path, lost: str = "") -> dict[str, Any]:
+    """Read a JSON object; DataError where it is missing, which `lost` mends, damaged or not an object."""
     try:
-        data = json.loads(read_text(path))
+        data = json.loads(read_text(path, lost))
     except (json.JSONDecodeError, RecursionError) as error:
         raise DataError(f"{path}: damaged JSON ({error}): download or write it again") from error
     if not isinstance(data, dict):

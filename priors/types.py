@@ -135,11 +135,14 @@ class Frame:
     readers: Mapping[str, Callable[..., Any]]
     """What can be read, by the names of Input. Each is called only when needed."""
     missing: Mapping[str, str] = field(default_factory=dict)
-    """Why a reader is not there and what to do, one line each; under "pose", why a pose that should be there is not."""
+    """Why a reader is not there and what to do, one line each; under "pose", why a pose that should be there is not;
+    under "poses", why the drive has none, or none here."""
     T_world_cam: Matrix | None = None
     """(4, 4) camera to world, metres."""
     T_cam_lidar: Matrix | None = None
     """(4, 4) LiDAR to camera, metres."""
+    posed: Literal["camera", "lidar"] = "camera"
+    """Whose poses the drive has; those of the other follow by T_cam_lidar."""
     time_s: float | None = None
     """Seconds since the drive's first frame."""
     baseline_m: float | None = None
@@ -172,8 +175,12 @@ class Frame:
     def pose(self) -> Matrix:
         """Return T_world_cam, or raise DataError with the drive's reason why it is not known."""
         if self.T_world_cam is None:
-            raise DataError(f"frame {self.id}: {self.missing.get('pose', 'it has no pose')}")
+            raise DataError(f"frame {self.id}: {self.why_unplaced()}")
         return self.T_world_cam
+
+    def why_unplaced(self) -> str:
+        """Say why the frame has no pose, and what to do."""
+        return self.missing.get("pose") or self.missing.get("poses", "it has no pose")
 
     def image(self) -> Image:
         """Read this camera's image: uint8 (h, w, 3) RGB, or (h, w) where the camera is grey."""

@@ -18,12 +18,14 @@ from factories import (
     write_raw,
 )
 
+from priors import drives, methods
 from priors.drives import open_drive
 from priors.machine import cpu
 from priors.street.write import write_street
 
 cpu.hold_down()  # before anything is compiled, as the commands do
 
+FLEET = Path(__file__).parent / "fleet"
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 DATA = SHARED / "data"
 RealData = Callable[..., Path]
@@ -145,3 +147,14 @@ def pytest_terminal_summary(terminalreporter: Any) -> None:
     if cpu.mode() == "amx_emulated":
         how = "the tiles' one product is emulated"
     terminalreporter.write_line(f"CPU mode {cpu.mode()}: {how}; `make modes` runs {', '.join(others)} here")
+
+
+@pytest.fixture(scope="module")
+def fleet_choices() -> Iterator[None]:
+    """The methods and drives of tests/fleet are choices here, as ROADPRIOR_EXTENSIONS makes them elsewhere."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROADPRIOR_EXTENSIONS", str(FLEET))
+        patch.setenv("PYTHONPATH", str(FLEET.parents[1]))
+        patch.setattr(methods, "__path__", [*methods.__path__, str(FLEET / "methods")])
+        patch.setattr(drives, "__path__", [*drives.__path__, str(FLEET / "drives")])
+        yield

@@ -3,6 +3,7 @@
 import json
 import re
 from importlib import import_module
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -45,6 +46,12 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_the_names_of_the_page_are_there_and_say_what_they_are(name: str) -> None:
     module, _, attribute = name.rpartition(".")
     assert getattr(import_module(module), attribute).__doc__
+
+
+def test_the_version_is_one() -> None:
+    told = re.search(r"^version: (\S+)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE)
+    assert told and priors.__version__ == nerf.__version__ == version("roadprior") == told[1]
+    assert f"\n## {told[1]}" in (ROOT / "CHANGELOG.md").read_text()
 
 
 @pytest.mark.parametrize("package", [priors, nerf])

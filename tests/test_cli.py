@@ -115,7 +115,10 @@ def test_a_report_page_holds_table_curves_pictures_and_the_command(built: Path) 
     figures = re.findall(r"\d+\.\d{4}", (built / "table.md").read_text().split("paper:")[0])
     assert len(figures) >= 15 and all(f">{figure}</td>" in page for figure in figures)
     confident = len(re.findall(r": AUSE ", said))
-    assert confident and page.count('class="plot"') == 2 + 3 * confident, "errors by distance, sparsification"
+    plots = 2 + 3 * confident + 2
+    assert confident and page.count('class="plot"') == plots, (
+        "errors by distance, sparsification, both of stereo's odds"
+    )
     assert page.count("data:image/jpeg;base64,") == min(FRAMES, 8)
     assert "priors eval cache --save report.html table.md --curves curves.svg" in page
     assert ">oracle</text>" in (built / "curves.svg").read_text()

@@ -95,7 +95,18 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "data_poses" / SEQUENCE / "cam0_to_world.txt"
     path.with_name("poses.txt").unlink()
     path.write_text(path.read_text().replace("251 ", "251 x "))
-    with pytest.raises(DataError, match=r"cam0_to_world\.txt: line 2 should hold 12 numbers of a pose"):
+    assert open_drive(drive)[0].T_world_cam is not None  # a line is its own frame's
+    with pytest.raises(DataError, match=r"cam0_to_world\.txt: line 2: not 12 numbers: 'x "):
+        open_drive(drive)[1].pose()
+    with pytest.raises(DataError, match=r"no line of this frame: the car stood still in it, leave it out"):
+        open_drive(drive)[2].pose()
+    path.write_text("nothing\n")
+    with pytest.raises(
+        DataError, match=r"cam0_to_world\.txt: no line begins with a frame's number: download data_poses"
+    ):
+        open_drive(drive)[0].pose()
+    path.unlink()
+    with pytest.raises(DataError, match=r"poses\.txt: no such file: download data_poses of"):
         open_drive(drive)[0].pose()
     (tmp_path / "calibration" / "perspective.txt").unlink()
     with pytest.raises(DataError, match=r"perspective\.txt: no such file"):

@@ -101,7 +101,7 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     drive = open_drive(split)
     with pytest.raises(DataError, match=r"disp_occ_0: no map 000001_10\.png"):
         drive[1].truth()
-    with pytest.raises(DataError, match=r"image_3: no image 000001_10: stereo needs both cameras"):
+    with pytest.raises(DataError, match=r"image_3: no image 000001_10: stereo needs both: download the pairs again"):
         drive[1].other()
     with pytest.raises(DataError, match="stereo benchmark has no sweeps"):
         drive[0].sweep()

@@ -111,7 +111,7 @@ def test_bad_input_is_one_line(tmp_path: Path) -> None:
     for name in ("calibrated_sensor", "sample", "scene"):
         text = (folder / f"{name}.json").read_text()
         (folder / f"{name}.json").write_text(text[:-10])
-        with pytest.raises(DataError, match=rf"{name}\.json: damaged table .*: unpack the metadata again"):
+        with pytest.raises(DataError, match=rf"{name}\.json: damaged JSON .*: unpack the metadata again"):
             open_drive(tmp_path, options=FRONT)
         (folder / f"{name}.json").unlink()
         with pytest.raises(DataError, match=rf"{name}\.json: no such file"):

@@ -41,6 +41,7 @@ ROOMS = [
     "priors/sequences",
     "priors/pairs",
     "priors/egomotion",
+    "priors/extrinsics",
     "priors/filters",
     "priors/nets",
     "priors/adapt",

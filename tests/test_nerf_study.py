@@ -273,3 +273,19 @@ def test_a_sheet_in_a_terminal_has_sections_and_all_heads(tmp_path):
         console.print(typeset.render(lay_out(made(Study(priors=(NONE, LIDAR)), tmp_path)), 60))
     assert "no room for" in capture.get()
     assert "AbsRel" in capture.get().split("no room for")[1]
+
+
+def test_what_keep_goes_by_makes_runs_where_something_is_kept(tmp_path):
+    runs = Study(priors=(NONE, STEREO), views=("dense",), keeps=(None, 0.5), keep_bys=(None, "relative")).runs()
+    assert sorted((spec.keep or 1, spec.keep_by or "own") for spec in runs if spec.prior == STEREO) == [
+        (0.5, "own"),
+        (0.5, "relative"),
+        (1, "own"),
+    ]
+    assert len([spec for spec in runs if spec.prior == NONE]) == 1
+    by = next(spec for spec in runs if spec.keep_by)
+    assert "keep0.5-byrelative-seed0" in by.name and by.filters().keep_by == "relative"
+    laid = typeset.plain(
+        lay_out([Outcome(spec, Runner()(spec, tmp_path / spec.name, {})) for spec in runs if spec.keep])
+    )
+    assert "keep by" in laid and "its own" in laid and "relative" in laid

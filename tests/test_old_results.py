@@ -72,6 +72,17 @@ def build(name: str, frames: str | None = None) -> int:
     return priors("build", "street", "--cache", "maps", "--method", *words)
 
 
+CHANGED = ("stereo", "mono")
+"""Methods whose maps are others now, by their VERSION: their confidences were mended by what came true."""
+
+
+@pytest.fixture
+def as_then(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let methods have the version of then."""
+    for name in CHANGED:
+        monkeypatch.setattr(methods.config_type(name), "VERSION", 1)
+
+
 def with_its_weights(monkeypatch: pytest.MonkeyPatch, made: cache.Prior) -> None:
     """Let the network's weights be those of then: they may have been trained again since."""
     then = made.manifest["weights"]
@@ -103,6 +114,7 @@ def test_their_pictures_are_drawn(home: Path) -> None:
     assert codecs.read_image(home / "pictures" / DRIVE / "0000000000.jpg").shape[0] > 6 * 100
 
 
+@pytest.mark.usefixtures("as_then")
 @pytest.mark.parametrize("name", BUILT)
 def test_a_build_finds_them_and_computes_nothing(
     home: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
@@ -116,6 +128,16 @@ def test_a_build_finds_them_and_computes_nothing(
     assert contents(home / "maps") == before
 
 
+def test_maps_of_a_changed_method_stand_beside_the_old_ones(home: Path) -> None:
+    before = contents(home / "maps")
+    assert build("stereo-118841c6e4", "0:1") == 0
+    after = contents(home / "maps")
+    assert {path: after[path] for path in before} == before
+    made = [cache.load(folder) for folder in (home / "maps" / DRIVE).glob("stereo-*")]
+    assert sorted(one.manifest.get("version", 1) for one in made) == [1, 1, 2]
+
+
+@pytest.mark.usefixtures("as_then")
 @pytest.mark.parametrize("name", [LIDAR, "stereo-118841c6e4", "completion-b0e5c5d0d2"])
 def test_a_partly_built_one_is_gone_on_with_in_its_folder(home: Path, name: str) -> None:
     made = prior(home, name)
@@ -142,6 +164,7 @@ def assert_same(now: np.ndarray, then: np.ndarray) -> None:
     assert near.mean() > 0.999
 
 
+@pytest.mark.usefixtures("as_then")
 def test_mono_goes_on_with_the_weights_that_it_adapted(
     home: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -191,3 +191,26 @@ def test_a_folder_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / "claims").write_text("a file")
     with pytest.raises(OSError, match="claims"):
         take(tmp_path / "claims" / "5")
+
+
+def test_a_folder_that_another_process_deletes_just_now_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`mkdir` finds it there, and it is gone when that is looked at: a frame in ten thousand failed by this."""
+    real, calls = os.mkdir, []
+
+    def mkdir(path: Path, mode: int = 0o777) -> None:
+        calls.append(path)
+        if len(calls) == 1:
+            raise FileExistsError(17, "File exists", str(path))
+        real(path, mode)
+
+    monkeypatch.setattr(os, "mkdir", mkdir)
+    with taken(tmp_path / "claims" / "frame") as held:
+        assert held.path.exists() and len(calls) == 2
+
+
+def test_a_file_where_the_folder_should_be_is_named(tmp_path: Path) -> None:
+    (tmp_path / "claims").write_text("no folder")
+    with pytest.raises(OSError, match="claims"):
+        take(tmp_path / "claims" / "frame")

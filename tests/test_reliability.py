@@ -56,6 +56,7 @@ def test_both_readings_of_a_prior(street: Path, tmp_path: Path) -> None:
         assert one.is_right == pytest.approx(right.mean(), abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_command_draws_it(street: Path, tmp_path: Path) -> None:
     succeed("build", street, "--method", "stereo", "--frames", "0:1", cwd=tmp_path)
     told = succeed("eval", "--reliability", "reliability.png", cwd=tmp_path)

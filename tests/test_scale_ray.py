@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import pickle
+import socket
 import sys
 from collections.abc import Iterator
 from dataclasses import replace
@@ -23,9 +24,9 @@ from nerf.blocks import part, parts_of
 from nerf.config import FitConfig
 from nerf.run import OWNER, open_run
 from nerf.study import FitRunner, RunSpec, Study
-from priors import build, drives, methods
+from priors import build, drives
 from priors.cache import Prior
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.filters import Filters
 from priors.methods.completion import Completion
 from priors.owner.process import me
@@ -42,29 +43,17 @@ from priors.selection import Selection
 from priors.street.write import write_street
 from priors.types import Method
 
-pytestmark = pytest.mark.cluster
-FLEET = Path(__file__).parent / "fleet"
+pytestmark = [pytest.mark.cluster, pytest.mark.usefixtures("fleet_choices")]
 FRAMES, DEADLY, BROKEN = 10, "000003", "000007"
 
 
-@pytest.fixture(scope="module", autouse=True)
-def extended() -> Iterator[None]:
-    """The methods and drives of tests/fleet are choices here, as ROADPRIOR_EXTENSIONS makes them elsewhere."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("ROADPRIOR_EXTENSIONS", str(FLEET))
-        patch.setattr(methods, "__path__", [*methods.__path__, str(FLEET / "methods")])
-        patch.setattr(drives, "__path__", [*drives.__path__, str(FLEET / "drives")])
-        yield
-
-
 @pytest.fixture(scope="module")
-def cluster() -> Iterator[Any]:
-    """Two cores of this machine as a Ray cluster, for all tests of this file."""
+def cluster(fleet_choices: None) -> Iterator[Any]:
+    """Two cores of this machine as a Ray cluster, for all tests of this file; its processes have our environment."""
     if os.environ.get("ROADPRIOR_CLUSTER") != "required":
         pytest.importorskip("ray")
     ray = ray_session.import_ray()
-    passed = {"ROADPRIOR_EXTENSIONS": str(FLEET), "PYTHONPATH": str(FLEET.parents[1])}
-    given = {"log_to_driver": False, "logging_level": 40, "runtime_env": {"env_vars": passed}}
+    given = {"log_to_driver": False, "logging_level": 40}
     ray.init("local", num_cpus=2, include_dashboard=False, object_store_memory=100 * 2**20, **given)
     yield ray
     ray.shutdown()
@@ -267,12 +256,24 @@ def test_without_ray_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) ->
 
 
 def test_no_cluster_at_the_address_is_one_line() -> None:
+    """Where nothing listens Ray is not asked: it would wait for minutes."""
+
     def refuse(**_: Any) -> None:
         raise ConnectionError("could not find any running Ray instance\nmore lines")
 
-    ray = SimpleNamespace(init=refuse)
-    with pytest.raises(DataError, match=r"^--address auto: no cluster there: `ray start` begins one$"):
-        ray_session._connect(ray, "auto")  # type: ignore[arg-type]
+    ray: Any = SimpleNamespace(init=refuse)
+    with pytest.raises(DataError, match=r"^--address auto: no cluster there: `ray start --head` begins one$"):
+        ray_session._connect(ray, "auto")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        nobody = f"127.0.0.1:{free.getsockname()[1]}"
+    unasked: Any = SimpleNamespace(init=lambda **_: pytest.fail("Ray was asked"))
+    for address in (nobody, f"ray://{nobody}"):
+        with pytest.raises(DataError, match=r"no cluster there: .*[Rr]efused"):
+            ray_session._connect(unasked, address)
+    for address in ("here", "127.0.0.1", "127.0.0.1:x", ":6379"):
+        with pytest.raises(UsageError, match="expected auto, HOST:PORT or ray://HOST:PORT"):
+            ray_session._connect(unasked, address)
 
 
 def test_a_share_that_no_node_has_is_refused() -> None:

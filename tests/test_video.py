@@ -37,6 +37,7 @@ def test_the_command_writes_a_video(street: Path, tmp_path: Path) -> None:
     assert shown[0].shape == shown[2].shape and (shown[0] != shown[2]).any()
 
 
+@pytest.mark.slow
 def test_what_cannot_be_shown_is_one_line(street: Path, own_street: Path, tmp_path: Path) -> None:
     succeed("build", street, "--method", "lidar", "--lidar.sweeps", 1, "--frames", "0:1", cwd=tmp_path)
     assert ".mp4" in fail("video", "--out", "depth.avi", cwd=tmp_path, code=2)

@@ -1,4 +1,4 @@
-"""What a fit learns from: the drive and the prior, where the user names one of them, both or none."""
+"""Finds the drive and the prior of a fit, where the user names both, one of them, or none."""
 
 import shlex
 from collections.abc import Sequence

@@ -51,7 +51,7 @@ examples:
 STUDY = Path("study")
 MANY = 6
 """So many runs are worth a forecast, which takes a few steps of each kind."""
-DECIDED = ("loss", "views", "clip", "confidence", "keep", "density", "truth_mask")
+DECIDED = ("loss", "views", "clip", "confidence", "keep", "keep_by", "density", "truth_mask")
 """What a preset says."""
 
 
@@ -75,6 +75,9 @@ class StudyArguments(ThreadArguments, SequenceArguments):
     """Least confidences of what is used."""
     keep: tuple[float, ...] = ()
     """Shares of the prior's values that are used, the most confident ones."""
+    keep_by: tuple[Literal["own", "metres", "relative", "pixels"], ...] = ("own",)
+    """What --confidence and --keep go by: the method's own confidence, or the probability of an error within 1 m, of
+    5 % of the depth, or of 1 px."""
     density: tuple[float, ...] = ()
     """Shares of the prior's values that are used, drawn at random."""
     truth_mask: Literal["no", "yes", "both"] = "no"
@@ -106,6 +109,9 @@ class StudyArguments(ThreadArguments, SequenceArguments):
         for name in SHARES:
             for value in vars(self)[name]:
                 Filters(**{name: value})
+        if self.keep_by != ("own",) and not (self.keep or self.confidence):
+            given = " ".join(self.keep_by)
+            raise UsageError(f"--keep-by {given}: expected --keep or --confidence beside it: it says what they go by")
         for each in fields(self) if self.preset != "none" else ():
             if each.name in DECIDED and getattr(self, each.name) != each.default:
                 flag = f"--{each.name.replace('_', '-')}"
@@ -142,6 +148,7 @@ class StudyArguments(ThreadArguments, SequenceArguments):
             truth_masks=masks,
             densities=self.density or (None,),
             seeds=self.seed or (0,),
+            keep_bys=tuple(None if by == "own" else by for by in self.keep_by),
         )
 
 
@@ -231,6 +238,7 @@ def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
         parts += ["--prior", spec.prior, *(["--loss", spec.loss] if spec.loss else [])]
         record = {name: value for name, value in asdict(spec).items() if name in SHARES}
         parts += [word for name, value in record.items() if value is not None for word in (f"--{name}", f"{value:g}")]
+        parts += ["--keep-by", spec.keep_by] if spec.keep_by is not None else []
         parts += ["--truth-mask"] if spec.truth_mask else []
         parts += ["--depth-mean", "all"] if spec.over_all else []
     return shlex.join([*parts, "--seed", str(spec.seed)])

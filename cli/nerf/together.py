@@ -1,4 +1,4 @@
-"""Several processes at one command (`torchrun`): the first one speaks, the others are heard where they fail."""
+"""Several processes of one command (`torchrun`): only the first one prints, the others print their errors."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

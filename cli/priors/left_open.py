@@ -1,4 +1,4 @@
-"""What a build leaves open: the method, where the user says `auto`, a budget, or nothing."""
+"""Chooses the method of a build where the user names none: `--method auto`, `--budget`, or no flag."""
 
 import shlex
 from collections.abc import Mapping, Sequence

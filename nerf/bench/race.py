@@ -1,4 +1,4 @@
-"""Race: the fits of a bench, advanced in turns from mark to mark, so that a machine's moods fall on all alike.
+"""Race: the fits of a bench take turns from mark to mark, so that a slow moment of the machine slows all alike.
 
 Every kernel is compiled before the clock starts. A curve that was made with the same settings is not made again; a fit
 that was killed between two marks is begun anew, for what it had spent is not known.

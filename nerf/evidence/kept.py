@@ -1,4 +1,4 @@
-"""What a check found, kept beside the files of the prior's maps: the same maps and frames are not checked twice.
+"""Results of checks, kept beside the prior's maps: the same maps and frames are not checked twice.
 
 <folder of the prior's maps>/checked-<digest>.npy   how far each value is trusted: uint8 (frames, height, width)
                             /checked-<digest>.json  finding and factors; written last, so that it marks both as done

@@ -1,4 +1,4 @@
-"""Stage: what a run's view has beside the field - its drive's cameras, and its prior's points where they are there."""
+"""What a run's view shows beside the field: its drive's cameras, and its prior's points where there are any."""
 
 from dataclasses import dataclass
 from typing import Literal, TypeAlias

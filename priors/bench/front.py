@@ -1,4 +1,4 @@
-"""Front: which of several ways no other beats (Pareto)."""
+"""Pareto front: the methods that no other beats in both time and error."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Judge: the frames of a bench and their truth; tells what a map is worth."""
+"""Judge: scores a map of a bench against the truth of its frame."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Race: the entrants in turn, from frame to frame, so that a machine's moods fall on all alike.
+"""Race: the methods take turns frame by frame, so that a slow moment of the machine slows all of them alike.
 
 Each is scouted first (scout.py), which tells whether it works, and what the race will take. Then each makes a map that
 is not counted, and then a map of every frame. What was measured is written after each frame: a bench that was stopped

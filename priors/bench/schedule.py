@@ -1,4 +1,4 @@
-"""Schedule: how many frames each entrant makes, so that a bench ends in time; the slow ones make fewer."""
+"""Schedule: how many frames each method makes, so that a bench ends in time. Slow methods make fewer."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Scout: an entrant makes a frame's map in a process of its own, which tells its time and its peak memory.
+"""Scout: a method makes one map in a process of its own, so that its time and its peak memory can be told.
 
 The module run as a program, with an errand on stdin, is the other end of `send`. What an entrant lacks, and whether it
 works here at all, is known before the bench begins.

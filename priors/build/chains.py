@@ -1,4 +1,4 @@
-"""Chains: frames that are made together where maps are carried on (`--reuse N`).
+"""Chains: with `--reuse N` a map is carried on to the next frames, and these frames are made one after the other.
 
 A frame whose position in the whole drive is a multiple of N begins a chain, and is made whole; the N - 1 after it are
 made of the one before. A chain always begins there, whatever frames are asked for: so maps do not depend on ranges,
@@ -91,5 +91,5 @@ def check_reuse(length: int, method: Method, frame: Frame) -> None:
     if not method.carries:
         raise UsageError(f"--reuse {length}: {method.name} cannot carry a map on, stereo can: leave --reuse out")
     if frame.T_world_cam is None:
-        why = frame.missing.get("pose", "this drive has none")
+        why = frame.why_unplaced()
         raise UsageError(f"--reuse {length}: maps are carried on by the poses: {why}: leave --reuse out")

@@ -1,4 +1,4 @@
-"""What 'auto' came to when a prior was built, kept in its manifest: the next build need not measure it again.
+"""Settings that 'auto' chose when a prior was built. The manifest keeps them, so the next build does not measure again.
 
     "decided": {"asked": {...}, "rig": "kitti", "made_of": {"image": {...}, "other": {...}, "sweep": {...}}}
 

@@ -1,4 +1,4 @@
-"""Room: the disk that a build's maps will take, told by the maps that are there, else by how large maps mostly are."""
+"""Disk space of a build, estimated from the prior's maps that are there, else from the usual size of maps."""
 
 from priors.cache import Prior
 from priors.cache.prior import CONFIDENCES

@@ -1,4 +1,4 @@
-"""Maps of a prior that others are made of: read from the cache under the prior's own key, and built where they lack.
+"""Maps that other maps are made of: read from the cache, and built where they are missing.
 
 So what is made of them depends neither on the order of the frames nor on ranges and shards, and two builds never make
 one map twice.

@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 from priors.check.calibration import judge_calibration
 from priors.check.drift import judge_drift
+from priors.check.extrinsics import judge_extrinsics
 from priors.check.files import judge_files
 from priors.check.finding import Finding
 from priors.check.frames import judge_joins, open_frames
@@ -53,7 +54,10 @@ def check(drive: Drive, samples: int = SAMPLES, progress: ProgressBar = silent) 
     maps = list(judge_maps(sampled))  # first: depth that they find wrong is no evidence for poses
     findings += judge_poses(frames, sampled)
     findings += judge_times(frames)
-    findings += judge_lidar(sampled)
+    by_lidar = list(judge_lidar(sampled))
+    findings += by_lidar
+    if trusted and all(finding.level != "fatal" for finding in by_lidar):
+        findings += judge_extrinsics(sampled)
     others = [finding for finding in findings + maps if finding.subject not in ("frames", "times")]
     if all(finding.level in ("ok", "note") for finding in others):  # else they may be why flow is left over
         findings += judge_drift(drive, sampled)

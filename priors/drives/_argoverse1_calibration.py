@@ -30,7 +30,7 @@ class LogCalibration:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        entries = read_json(path).get("camera_data_")
+        entries = read_json(path, "download the log's calibration again").get("camera_data_")
         if not isinstance(entries, list):
             raise DataError(f"{path}: calibration key camera_data_ is missing: download the log again")
         self._values = {e.get("key"): e.get("value") for e in entries if isinstance(e, dict)}

@@ -1,4 +1,4 @@
-"""By time: files whose names end in a time, what is nearest to a moment, and a pose between two others."""
+"""Files by time: names that end in a time, the file nearest to a moment, and a pose between two others."""
 
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence

@@ -30,6 +30,8 @@ class CameraDrive(ABC):
     """Left and right camera of each rectified stereo pair of the data set."""
     usual_camera: ClassVar[str] = ""
     """The camera that the drive's name does not mention."""
+    posed: ClassVar[Literal["camera", "lidar"]] = "camera"
+    """Whose poses the data set has; those of the other follow by the place of the LiDAR."""
 
     images: Mapping[str, Path]
     """Frame id -> image file."""
@@ -131,6 +133,7 @@ class CameraDrive(ABC):
             missing=missing,
             T_world_cam=T_world_cam,
             T_cam_lidar=T_cam_lidar,
+            posed=self.posed,
             time_s=self.time_s(id_),
             baseline_m=self.baseline_of(id_),
             side=self.side,

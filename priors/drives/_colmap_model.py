@@ -78,13 +78,15 @@ def read_points(path: Path) -> tuple[Ids, npt.NDArray[np.float64]]:
 def _parse(path: Path, parse: Callable[[Path], Parsed]) -> Parsed:
     try:
         return parse(path)
-    except (ValueError, IndexError, struct.error, UnicodeDecodeError) as error:
+    except struct.error as error:
+        raise DataError(f"{path}: ends within a record: {MEND}") from error
+    except (ValueError, IndexError, UnicodeDecodeError) as error:
         raise DataError(f"{path}: damaged ({error}): {MEND}") from error
 
 
 def _lines(path: Path) -> list[str]:
     """Return a table's lines without its comments; empty ones are kept."""
-    lines = read_text(path).split("\n")
+    lines = read_text(path, MEND).split("\n")
     return [line.strip() for line in lines if not line.startswith("#")]
 
 
@@ -149,7 +151,7 @@ class _Bytes:
     """Reads a binary table from its start."""
 
     def __init__(self, path: Path) -> None:
-        self.data, self.at = codecs.read_bytes(path), 0
+        self.data, self.at = codecs.read_bytes(path, MEND), 0
 
     def take(self, layout: str) -> tuple[Any, ...]:
         """Read the next values; struct.error where the file ends before."""

@@ -17,12 +17,13 @@ from priors.text import read_lines, read_text
 from priors.types import Camera, Image, Matrix
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg")
+CALIBRATION = "download the calibration again"
 
 
 def read_key_values(path: Path) -> dict[str, npt.NDArray[np.float64]]:
     """Read 'key: numbers' lines (KITTI calibration); lines that hold no numbers are left out."""
     values = {}
-    for line in read_lines(path):
+    for line in read_lines(path, CALIBRATION):
         key, _, numbers = line.text.partition(":")
         try:
             values[key.strip()] = np.array([float(word) for word in numbers.split()])
@@ -35,9 +36,9 @@ def need(values: dict[str, npt.NDArray[np.float64]], key: str, count: int, path:
     """Return values[key], or raise DataError that names file and key where it is missing, short or not finite."""
     numbers = values.get(key)
     if numbers is None:
-        raise DataError(f"{path}: calibration key {key} is missing or no numbers: download the calibration again")
+        raise DataError(f"{path}: calibration key {key} is missing or no numbers: {CALIBRATION}")
     if numbers.size != count or not np.isfinite(numbers).all():
-        raise DataError(f"{path}: {key} should be {count} finite numbers, found {numbers.tolist()}")
+        raise DataError(f"{path}: {key} should be {count} finite numbers, found {numbers.tolist()}: {CALIBRATION}")
     return numbers
 
 
@@ -100,7 +101,8 @@ def read_times(path: Path) -> dict[int, float]:
             whole = datetime.fromisoformat(seconds).replace(tzinfo=UTC).timestamp()
             stamps[number] = whole + float(f"0.{fraction or 0}")
         except ValueError as error:
-            raise DataError(f"{path}: line {line.number} is not a time: {line.text[:40]!r}") from error
+            found = f"line {line.number} is not a time: {line.text[:40]!r}"
+            raise DataError(f"{path}: {found}: download it again, or take the file away") from error
     start = next(iter(stamps.values()), 0.0)
     return {number: stamp - start for number, stamp in stamps.items()}
 

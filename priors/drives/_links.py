@@ -1,4 +1,4 @@
-"""Links: where a drive's folder is, as it is named and as links lead. What lies above one may lack above the other."""
+"""Symbolic links: a drive's folder may be a link. Calibration and poses may lie above the link or above its target."""
 
 from contextlib import suppress
 from pathlib import Path

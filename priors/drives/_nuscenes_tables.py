@@ -41,7 +41,7 @@ class Taken:
 
 def versions(root: Path) -> list[Path]:
     """List the folders of tables in a data set's folder: v1.0-mini, say."""
-    return sorted(path for path in root.glob("v1.*") if (path / "sample_data.json").is_file())
+    return sorted(path for path in root.glob("v1.*") if any((path / f"{name}.json").is_file() for name in NAMES))
 
 
 class Tables:
@@ -109,10 +109,12 @@ class Tables:
         if name not in self._tables:
             path = self._path(name)
             try:
-                records = json.loads(read_text(path))
+                records = json.loads(read_text(path, MEND))
                 self._tables[name] = {record["token"]: record for record in records}
-            except (json.JSONDecodeError, RecursionError, KeyError, TypeError) as error:
-                raise DataError(f"{path}: damaged table ({error!r:.60}): {MEND}") from error
+            except (json.JSONDecodeError, RecursionError) as error:
+                raise DataError(f"{path}: damaged JSON ({error}): {MEND}") from error
+            except (KeyError, TypeError) as error:
+                raise DataError(f"{path}: expected a list of records, each with a token: {MEND}") from error
         return self._tables[name]
 
     def _records(self, name: str) -> Iterator[tuple[str, Record]]:

@@ -242,8 +242,8 @@ def _read_numbers(path: Path) -> Floats:
                 raise DataError(f"{path}: oxts fields are not numbers: download it again") from error
             break
     if len(values) < PLACE or not np.isfinite(values[:PLACE]).all():
-        found = values[:PLACE]
-        raise DataError(f"{path}: expected 6 finite oxts fields (lat lon alt roll pitch yaw), found {found}")
+        wanted = f"expected 6 finite oxts fields (lat lon alt roll pitch yaw), found {values[:PLACE]}"
+        raise DataError(f"{path}: {wanted}: download it again")
     return np.array(values)
 
 

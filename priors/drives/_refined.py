@@ -43,7 +43,7 @@ class RefinedDrive(DriveAround):
         readers = dict(frame.readers)
         if frame.has("sweep"):
             readers["sweep"] = partial(self._sweep, index)
-        return replace(frame, T_world_cam=T_world_cam, missing=missing, readers=readers)
+        return replace(frame, T_world_cam=T_world_cam, posed="camera", missing=missing, readers=readers)
 
     def _sweep(self, index: int, offset: int = 0) -> Sweep | None:
         """Read a sweep, and place it as the frame nearest to it was moved."""

@@ -1,4 +1,4 @@
-"""Rigs: cars, and the usual rectification error of their stereo pairs, for drives that cannot measure it."""
+"""Cars whose stereo pairs have a known rectification error, for drives that cannot measure it."""
 
 from priors.types import Rig
 

@@ -12,6 +12,7 @@ from typing import Any
 from priors.drives._camera_drive import BY_FRAME, CameraDrive, Files, Readers
 from priors.drives._files import image_size
 from priors.drives._velodyne import read_sweep_file
+from priors.errors import DataError
 from priors.types import Camera, Matrix, Sweep
 
 LOOKED_AT = 200
@@ -24,6 +25,24 @@ class SingleFrames(CameraDrive):
     def describe(self) -> dict[str, Any]:
         """Return what a manifest records: cameras differ by frame."""
         return {**super().describe(), "cameras": BY_FRAME}
+
+    def missing(self, id_: str) -> dict[str, str]:
+        """Say why a frame has no pose: there are none."""
+        return {"poses": "this benchmark's frames have nothing to do with each other: they have no poses"}
+
+    def first_readable(self) -> tuple[Camera, float | None]:
+        """Return camera and baseline of the first frame that has them: one damaged file must not close a drive.
+
+        Raises:
+            DataError: no frame has a camera.
+        """
+        reasons = []
+        for id_ in self.ids:
+            try:
+                return self.camera_of(id_), self.baseline_of(id_)
+            except DataError as error:
+                reasons.append(error)
+        raise reasons[0]
 
     @cached_property
     def size_of(self) -> Any:

@@ -112,15 +112,23 @@ class Argoverse1(TimedDrive):
         """Say why a reader is not there, and what to do."""
         other = "ring cameras have no partner: stereo needs --camera stereo_front_left"
         if self.partner is not None:
-            other = f"{self.folder / self.partner}: no image within 10 ms of {id_}: stereo needs both cameras"
+            other = f"{self.folder / self.partner}: no image within 10 ms of {id_}: stereo needs both: download it"
         sweep = f"{self.folder}: no lidar/PC_*.ply: put argoverse-tracking beside the stereo release"
         if self.sweeps:
             sweep = f"{self._calibration_file}: no {PAIR_RECT[0]}_refined: the camera's place on the car is unknown"
-        truth = f"no {PAIR_RECT[0]}_disparity map of {id_} in disparity_maps_v1.1, beside or under --truth"
+        truth = f"no {PAIR_RECT[0]}_disparity map of {id_} in disparity_maps_v1.1: put it beside, or use --truth"
         if self.camera_name != PAIR_RECT[0]:
             truth = f"disparity truth is for {PAIR_RECT[0]} of the rectified stereo release, not for {self.camera_name}"
         sparse = "Argoverse has no sparse depth maps: use --completion.source lidar"
-        return {"other": other, "sweep": sweep, "truth": truth, "sparse": sparse, "sky": "Argoverse has no sky masks"}
+        poses = f"no poses/city_SE3_egovehicle_*.json around {id_}: put argoverse-tracking beside, or leave it out"
+        return {
+            "poses": poses,
+            "other": other,
+            "sweep": sweep,
+            "truth": truth,
+            "sparse": sparse,
+            "sky": "Argoverse has no sky masks",
+        }
 
     def _read_cameras(self) -> tuple[RectifiedCamera, RectifiedCamera | None, float | None]:
         """Read this camera, its partner and their baseline."""

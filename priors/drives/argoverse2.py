@@ -95,7 +95,7 @@ class Argoverse2(TimedDrive):
         """Say why a reader is not there, and what to do."""
         other = f"ring cameras have no partner: stereo needs --camera {PAIR[0]}"
         if self.partner is not None:
-            other = f"{self._cameras / self.partner}: no image within 10 ms of {id_}: stereo needs both cameras"
+            other = f"{self._cameras / self.partner}: no image within 10 ms of {id_}: stereo needs both: download it"
         truth = "Argoverse 2 has no depth maps: score against the LiDAR (`priors eval --against`)"
         reasons = {
             "other": other,

@@ -49,9 +49,13 @@ def open_drive(path: Path, options: DriveOptions) -> "Colmap":
 
 
 def _model_folder(path: Path) -> Path | None:
-    """Return the folder with the tables: sparse/0, sparse, or the folder itself; None without one."""
-    places = (path / "sparse" / "0", path / "sparse", path)
-    return next((place for place in places if all(find_file(place, stem) for stem in TABLES)), None)
+    """Return the folder with the tables: sparse/0, sparse, or the folder itself; None without one.
+
+    In sparse/ one table tells that a model is meant.
+    """
+    inside = (path / "sparse" / "0", path / "sparse")
+    found = (place for place in inside if any(find_file(place, stem) for stem in TABLES))
+    return next(found, path if all(find_file(path, stem) for stem in TABLES) else None)
 
 
 class Colmap(PosedImages):

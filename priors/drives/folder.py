@@ -46,11 +46,12 @@ from priors.types import Camera, Matrix, Sweep
 SWEEP_SUFFIXES = (".bin", ".npy")
 MAP_SUFFIXES = (".png", ".npy", ".npz", ".pfm")
 MAPS = {"truth": "depth", "sparse": "sparse"}
+WANTED = "write fx, fy, cx, cy and baseline_m into it (docs/datasets.md)"
 
 
 def recognises(path: Path) -> bool:
-    """Tell whether the folder has left/ and calib.json."""
-    return (path / "calib.json").is_file() and (path / "left").exists()
+    """Tell whether the folder has left/, and calib.json or right/ beside."""
+    return (path / "left").exists() and any((path / name).exists() for name in ("calib.json", "right"))
 
 
 def open_drive(path: Path, options: DriveOptions) -> "Folder":
@@ -79,7 +80,7 @@ class Folder(CameraDrive):
         self.maps = {what: joined(self.images, paths) for what, paths in maps.items()}
         self._sweeps = joined(self.images, stems(follow(self.folder / "lidar"), SWEEP_SUFFIXES))
         self._calibrations = joined(self.images, stems(follow(self.folder / "calib"), [".json"]))
-        self._values = read_json(self.folder / "calib.json")
+        self._values = read_json(self.folder / "calib.json", WANTED)
         self._shared, self._own = self._read_shared(), lru_cache(maxsize=None)(self._read_own)
         self.camera, self.baseline_m, self.rig = (
             self.camera_of(self.ids[0]),
@@ -132,13 +133,17 @@ class Folder(CameraDrive):
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
-        maps = {what: f"{self.folder / name}: no map {id_} (.png, .npy, .npz or .pfm)" for what, name in MAPS.items()}
+        maps = {
+            what: f"{self.folder / name}: no map {id_} (.png, .npy, .npz or .pfm): put it there"
+            for what, name in MAPS.items()
+        }
         sweep = "this folder has no LiDAR: use stereo, completion of maps in sparse/, or put sweeps in lidar/"
         if self._sweeps:
             sweep = f"{self.folder / 'calib.json'}: no T_cam_lidar, so the sweeps in lidar/ cannot be placed: add it"
         return {
             **maps,
-            "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras",
+            "poses": f"{self.folder / 'poses.txt'}: no pose of this frame: write T_world_cam, 12 numbers a line",
+            "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras: put it there",
             "sweep": sweep,
         }
 

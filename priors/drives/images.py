@@ -97,6 +97,7 @@ class Images(CameraDrive):
         """Say why a reader is not there, and what to do."""
         alone = "images alone: use mono"
         return {
+            "poses": "images alone have no poses: give some by COLMAP's model or transforms.json (docs/datasets.md)",
             "other": f"{alone}, or put a pair into left/ and right/ (docs/datasets.md)",
             "sweep": alone,
             "truth": "images alone have no truth: put it into depth/ beside left/ (docs/datasets.md)",

@@ -38,7 +38,8 @@ from priors.errors import DataError, UsageError
 from priors.frame_ids import joined
 from priors.geometry import invert
 from priors.motion import Trajectory
-from priors.text import read_lines
+from priors.poses import parse_pose, readable
+from priors.text import Line, read_lines
 from priors.types import Camera, Matrix
 
 BELOW = 2
@@ -117,17 +118,17 @@ class Kitti360(NumberedDrive):
 
     def scans(self) -> dict[str, list[str]]:
         """List the frame ids that each sensor has, for the audit."""
-        posed = [id_ for id_ in self.ids if int(id_) in self._T_world_cam0]
+        posed = [id_ for id_ in self.ids if int(id_) in self._pose_lines]
         return {"other": list(self.others), "sweep": list(self.sweeps), "pose": posed}
 
     def T_world_cam(self, id_: str) -> Matrix | None:
         """Return the pose of this camera; None where the frame has no line."""
-        T_world_cam0 = self._T_world_cam0.get(int(id_))
+        T_world_cam0 = self._T_world_cam0(int(id_))
         return None if T_world_cam0 is None else T_world_cam0 @ invert(self._T_cam_cam0)
 
     def T_world_velo(self, number: int) -> Matrix | None:
         """Return the LiDAR's pose; None where the frame has no line, or the calibration is not there."""
-        T_world_cam0 = self._T_world_cam0.get(number)
+        T_world_cam0 = self._T_world_cam0(number)
         return None if T_world_cam0 is None or self._T_cam0_velo is None else T_world_cam0 @ self._T_cam0_velo
 
     @property
@@ -148,13 +149,13 @@ class Kitti360(NumberedDrive):
             sweep = f"{wanted}: no such file, so the sweeps cannot be placed: download calibration.zip"
         truth = "KITTI-360 has no depth maps: score against the LiDAR (`priors eval --against`)"
         reasons = {
-            "other": f"{self.folder}/{self.partner}/data_rect: no image {id_}: stereo needs both cameras",
+            "other": f"{self.folder}/{self.partner}/data_rect: no image {id_}: stereo needs both cameras: download it",
             "sweep": sweep,
             "truth": truth,
             "sparse": truth,
             "sky": "KITTI-360 has no sky masks",
         }
-        return reasons | ({"pose": self._no_pose(id_)} if self._must_have_pose(id_) else {})
+        return reasons | self._lacking_poses
 
     def _list_images(self, camera: str) -> dict[str, Path]:
         images = stems(follow(self.folder / camera) / "data_rect", IMAGE_SUFFIXES)
@@ -188,7 +189,7 @@ class Kitti360(NumberedDrive):
         path = self._calibration("calib_cam_to_velo.txt")
         if not path.is_file():
             return None
-        return self._R_rect @ invert(_rigid(" ".join(line.text for line in read_lines(path)).split(), path))
+        return self._R_rect @ invert(parse_pose(" ".join(line.text for line in read_lines(path)), f"{path}: all of it"))
 
     @property
     def _pose_file(self) -> Path | None:
@@ -196,37 +197,44 @@ class Kitti360(NumberedDrive):
         return next((path for name in ("poses.txt", "cam0_to_world.txt") if (path := folder / name).is_file()), None)
 
     @cached_property
-    def _T_world_cam0(self) -> dict[int, Matrix]:
-        """Pose of the rectified camera 0 by frame number; empty where there are none."""
-        path, poses = self._pose_file, {}
+    def _pose_lines(self) -> dict[int, Line]:
+        """The lines of poses by frame number, without it; empty where no camera's pose can be told."""
+        path, lines = self._pose_file, {}
         if path is None or (path.name == "poses.txt" and not self._calibration("calib_cam_to_pose.txt").is_file()):
             return {}
-        T_pose_cam0 = np.eye(4) if path.name != "poses.txt" else self._read_T_pose_cam0()
         for line in read_lines(path):
-            if line.text:
-                number, *words = line.words
-                where = f"line {line.number}"
-                try:
-                    poses[int(float(number))] = _rigid(words[:12], path, where) @ T_pose_cam0
-                except ValueError as error:
-                    raise DataError(
-                        f"{path}: {where} begins with no frame number: download data_poses again"
-                    ) from error
-        return poses
+            number, *words = line.words or [""]
+            if number.replace(".0", "").isdecimal():
+                lines[int(float(number))] = Line(line.number, " ".join(words[:12]))  # cam0_to_world has a fourth row
+        return lines
 
-    def _read_T_pose_cam0(self) -> Matrix:
+    def _T_world_cam0(self, number: int) -> Matrix | None:
+        """Return the pose of the rectified camera 0; None for a frame in which the car stood still."""
+        path, line = self._pose_file, self._pose_lines.get(number)
+        if path is None or line is None:
+            return None
+        T_world_rig = parse_pose(line.text, f"{path}: line {line.number}")
+        return T_world_rig @ self._T_pose_cam0 if path.name == "poses.txt" else T_world_rig
+
+    @cached_property
+    def _T_pose_cam0(self) -> Matrix:
         path = self._calibration("calib_cam_to_pose.txt")
         T_pose_cam0 = np.eye(4)
         T_pose_cam0[:3] = need(read_key_values(path), "image_00", 12, path).reshape(3, 4)
         return T_pose_cam0 @ invert(self._R_rect)
 
-    def _must_have_pose(self, id_: str) -> bool:
-        """Tell whether a pose is missing though it is no frame in which the car stood still."""
-        lacks_calibration = self._pose_file is not None and not self._T_world_cam0
-        return lacks_calibration and int(id_) not in self._T_world_cam0
-
-    def _no_pose(self, id_: str) -> str:
-        return f"{self._calibration('calib_cam_to_pose.txt')}: no such file, so poses.txt tells no camera's pose"
+    @cached_property
+    def _lacking_poses(self) -> dict[str, str]:
+        """Say why a frame has no pose: by mistake (pose), or because the data set has none (poses)."""
+        if self._pose_file is None:
+            wanted = self._tree("data_poses") / "poses.txt"
+            return {"poses": f"{wanted}: no such file: download data_poses of {self.folder.name}"}
+        if self._pose_lines:
+            return {"poses": f"{self._pose_file}: no line of this frame: the car stood still in it, leave it out"}
+        path = self._calibration("calib_cam_to_pose.txt")
+        if self._pose_file.name == "poses.txt" and not path.is_file():
+            return {"pose": f"{path}: no such file, so poses.txt tells no camera's pose: {DOWNLOAD[path.name]}"}
+        return {"pose": f"{self._pose_file}: no line begins with a frame's number: download data_poses again"}
 
     @property
     def times_file(self) -> Path | None:
@@ -241,18 +249,6 @@ class Kitti360(NumberedDrive):
 
     @cached_property
     def path(self) -> Trajectory:
-        """The trajectory of camera 0, by frame number."""
-        return Trajectory.of_numbers(self._T_world_cam0, self._times)
-
-
-def _rigid(words: list[str], path: Path, where: str = "it") -> Matrix:
-    """Read 12 numbers, a row-major (3, 4); DataError where they are not."""
-    try:
-        numbers = np.array(list(map(float, words)), np.float64)
-    except ValueError:
-        numbers = np.zeros(0)
-    if numbers.shape != (12,) or not np.isfinite(numbers).all():
-        raise DataError(f"{path}: {where} should hold 12 numbers of a pose: download it again")
-    T = np.eye(4)
-    T[:3] = numbers.reshape(3, 4)
-    return T
+        """The trajectory of camera 0, by frame number; lines that are no poses are left out."""
+        poses = readable(self._pose_lines, self._T_world_cam0)
+        return Trajectory.of_numbers(poses, self._times)

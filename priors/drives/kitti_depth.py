@@ -66,7 +66,7 @@ class KittiDepth(SingleFrames):
         if not self.images:
             raise DataError(f"{self.folder / 'image'}: no images: {DOWNLOAD}")
         self.maps = {what: self._join(stems(self.folder / name, [".png"]), name) for what, name in MAPS.items()}
-        self.camera = self.camera_of(self.ids[0])
+        self.camera, _ = self.first_readable()
 
     @property
     def name(self) -> str:
@@ -83,6 +83,7 @@ class KittiDepth(SingleFrames):
         if "anonymous" in self.folder.name:
             reasons["truth"] = f"{self.folder.name} has no truth, the benchmark keeps it: use val_selection_cropped"
         return {
+            **super().missing(id_),
             **reasons,
             "other": "the selection has no pairs: use completion, or mono",
             "sweep": "the selection has no sweeps: completion fills its velodyne_raw maps",
@@ -108,7 +109,7 @@ class KittiDepth(SingleFrames):
 
 def _read_intrinsics(path: Path) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     """Read nine numbers, a row-major K."""
-    words = read_text(path).split()
+    words = read_text(path, DOWNLOAD).split()
     try:
         K = np.array(list(map(float, words)), np.float64).reshape(3, 3)
     except ValueError as error:

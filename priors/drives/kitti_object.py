@@ -48,7 +48,11 @@ def recognises(path: Path) -> bool:
 def is_drive(folder: Path) -> bool:
     """Tell whether the folder is itself a split: images by number, and a calibration of each or sweeps beside them."""
     beside = any((folder / name).is_dir() for name in ("calib", "velodyne", "label_2"))
-    return beside and not (folder / "calib.txt").is_file() and has_file(folder / "image_2", IMAGE)
+    return (
+        beside
+        and not any((folder / name).is_file() for name in ("calib.txt", "times.txt"))
+        and has_file(folder / "image_2", IMAGE)
+    )
 
 
 def open_drive(path: Path, options: DriveOptions) -> "KittiObject":
@@ -73,7 +77,7 @@ class KittiObject(SinglePairs):
             raise DataError(f"{self.folder / camera}: no images: download data_object_{camera}.zip")
         self.others = {i: path for i, path in stems(self.folder / partner, IMAGE_SUFFIXES).items() if i in self.images}
         self.sweeps = {i: p for i, p in stems(self.folder / "velodyne", [".bin"]).items() if i in self.images}
-        self.camera, self.baseline_m = self.camera_of(self.ids[0]), self.baseline_of(self.ids[0])
+        self.camera, self.baseline_m = self.first_readable()
         self.rig = KITTI
 
     @property
@@ -82,8 +86,9 @@ class KittiObject(SinglePairs):
         return f"kitti_object_{super().name}"
 
     def sources(self) -> list[Path]:
-        """List the first frame's calibration; a frame's own is watched with what it reads."""
-        return [self.calibration_file(self.ids[0])]
+        """List the first calibration that is there; a frame's own is watched with what it reads."""
+        places = (self._calibration_places(id_) for id_ in self.ids)
+        return [next(path for around in places for path in around if path.is_file())]
 
     def files(self, id_: str) -> Files:
         """Return which file each reader reads: also the calibration that image and sweep go through."""
@@ -98,6 +103,7 @@ class KittiObject(SinglePairs):
         truth = "KITTI's object benchmark has no depth maps"
         zip_ = "data_object_image_3.zip" if self.partner == "image_3" else "data_object_image_2.zip"
         return {
+            **super().missing(id_),
             "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras: download {zip_}",
             "sweep": f"{self.folder / 'velodyne'}: no sweep {id_}.bin: download data_object_velodyne.zip",
             "truth": truth,
@@ -127,10 +133,14 @@ class KittiObject(SinglePairs):
 
     def calibration_file(self, id_: str) -> Path:
         """Return the frame's calibration; DataError where there is none."""
-        split = self.folder.name
-        above = [parent / "data_object_calib" / split for parent in list(self.folder.parents)[:2]]
-        places = [folder / "calib" / f"{id_}.txt" for folder in (self.folder, *above)]
+        places = self._calibration_places(id_)
         found = next((path for path in places if path.is_file()), None)
         if found is None:
             raise DataError(f"{places[0]}: no such file: {CALIBRATION}")
         return found
+
+    def _calibration_places(self, id_: str) -> list[Path]:
+        """List where a frame's calibration may be: in the split, or in the other download beside."""
+        split = self.folder.name
+        above = [parent / "data_object_calib" / split for parent in list(self.folder.parents)[:2]]
+        return [folder / "calib" / f"{id_}.txt" for folder in (self.folder, *above)]

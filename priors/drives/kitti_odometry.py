@@ -83,7 +83,8 @@ def _sequences(path: Path) -> list[Path]:
 
 def is_drive(folder: Path) -> bool:
     """Tell whether the folder is itself a sequence."""
-    return (folder / "calib.txt").is_file() and any((folder / name).is_dir() for name in CAMERAS)
+    named = any((folder / name).is_file() for name in ("calib.txt", "times.txt")) or folder.parent.name == "sequences"
+    return named and any((folder / name).is_dir() for name in CAMERAS)
 
 
 class KittiOdometry(NumberedDrive):
@@ -166,7 +167,11 @@ class KittiOdometry(NumberedDrive):
         truth = "the odometry data set has no depth maps for this camera: use --camera image_2"
         if raw is not None and self.camera_name in self.pairs[1]:
             truth = f"no depth map: name the folder that holds train/{raw[0]}/proj_depth with --truth"
+        poses = f"{self._pose_file}: no such file, or an empty one: download data_odometry_poses.zip"
+        if self._sequence in SEQUENCES[len(RAW_DRIVE) :]:
+            poses = f"KITTI publishes no poses of sequence {self._sequence}: take one of 00 to 10"
         return {
+            "poses": poses,
             "other": other + f"download {_image_zip(self.camera_name)}",
             "sweep": sweep,
             "truth": truth,

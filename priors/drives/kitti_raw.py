@@ -96,6 +96,7 @@ class KittiRaw(NumberedDrive):
 
     pairs = (("image_00", "image_01"), ("image_02", "image_03"))
     usual_camera = "image_02"
+    posed = "lidar"
 
     def __init__(
         self, folder: Path, camera: str = "image_02", truth: Path | None = None, *, by_velocity: bool = True
@@ -159,7 +160,8 @@ class KittiRaw(NumberedDrive):
             sweep = f"{self._files[VELO_FILE]}: no such file, so the sweeps cannot be placed: {CALIBRATION}"
         return {
             **self._lacking_pose,
-            "other": f"no image {self.partner}/data/{id_} in {self.folder}: stereo needs both cameras",
+            "poses": f"{self.folder / 'oxts' / 'data'}: no record {id_}.txt: download the drive's oxts",
+            "other": f"{self.folder}/{self.partner}/data: no image {id_}: stereo needs both cameras: download it",
             "sweep": sweep,
             **self._lacking_maps,
             "sky": f"no sky masks beside {self.folder.name}: KITTI has none, the embedded street has",
@@ -219,7 +221,8 @@ class KittiRaw(NumberedDrive):
         reasons = {}
         for what, paths in self.maps.items():
             if paths:
-                reasons[what] = f"{next(iter(paths.values())).parent}: no map of this frame"
+                folder = next(iter(paths.values())).parent
+                reasons[what] = f"{folder}: no map of this frame (KITTI has none of a drive's ends): leave it out"
             else:
                 reasons[what] = _kitti_maps.lacking(self._above, self._names, self.camera_name, what)
         return reasons

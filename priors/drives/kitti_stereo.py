@@ -99,8 +99,7 @@ class KittiStereo(SinglePairs):
         self.maps = {} if self._truth_folder is None else {"truth": stems(self._truth_folder, [".png"])}
         self._objects = stems(self.folder / "obj_map", [".png"]) if camera == "image_2" else {}
         self.sweeps = stems(self.folder / "velodyne", [".bin"])
-        self.camera = self.camera_of(self.ids[0])
-        self.baseline_m = self.baseline_of(self.ids[0])
+        self.camera, self.baseline_m = self.first_readable()
         self.rig = KITTI
 
     @property
@@ -117,7 +116,7 @@ class KittiStereo(SinglePairs):
 
     def sources(self) -> list[Path]:
         """List the calibration files of all frames."""
-        files = [self.calibration_file(id_) for id_ in self.ids]
+        files = [path for id_ in self.ids if (path := self._find_calibration(id_)) is not None]
         files += [path for id_ in self.ids if (path := self._lidar_file(id_)) is not None]
         return list(dict.fromkeys(files))
 
@@ -152,7 +151,7 @@ class KittiStereo(SinglePairs):
         left = next(left for left, right in PAIRS if self.camera_name in (left, right))
         truth = f"{self.folder}: no {' or '.join(TRUTHS.get(left, ('disp_occ',)))}: test images have no public truth"
         if self._truth_folder is not None:
-            truth = f"{self._truth_folder}: no map {id_}.png"
+            truth = f"{self._truth_folder}: no map {id_}.png: download the pairs again"
         elif self.side == "right":
             truth = f"truth is of the left camera: leave out --camera, or choose {left}"
         elif left not in TRUTHS:
@@ -163,14 +162,15 @@ class KittiStereo(SinglePairs):
         if id_ in self.sweeps:
             sweep = f"{self._lidar_places(id_)[0]}: no such file, so the sweep cannot be placed: {CALIBRATION}"
         elif self.sweeps:
-            sweep = f"{self.folder / 'velodyne'}: no sweep {id_}.bin"
+            sweep = f"{self.folder / 'velodyne'}: no sweep {id_}.bin: put it there"
         return {
-            "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both cameras",
+            **super().missing(id_),
+            "other": f"{self.folder}/{self.partner}: no image {id_}: stereo needs both: download the pairs again",
             "sweep": sweep,
             "truth": truth,
             "sparse": "KITTI's stereo benchmark has no sparse depth maps",
             "sky": "KITTI has no sky masks",
-            "foreground": f"{self.folder / 'obj_map'}: no map {id_}.png",
+            "foreground": f"{self.folder / 'obj_map'}: no map {id_}.png: download data_scene_flow.zip",
         }
 
     def camera_of(self, id_: str) -> Camera:
@@ -220,11 +220,14 @@ class KittiStereo(SinglePairs):
 
     def calibration_file(self, id_: str) -> Path:
         """Return the frame's calibration: its own, or the one that serves all frames."""
-        found = next((path for path in self._calibration_places(id_) if path in self._shared or path.is_file()), None)
+        found = self._find_calibration(id_)
         if found is None:
             wanted = self._calibration_places(id_)[0]
             raise DataError(f"{wanted}: no such file: {CALIBRATION}")
         return found
+
+    def _find_calibration(self, id_: str) -> Path | None:
+        return next((path for path in self._calibration_places(id_) if path in self._shared or path.is_file()), None)
 
     @cached_property
     def _shared(self) -> set[Path]:

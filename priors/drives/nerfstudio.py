@@ -66,7 +66,8 @@ class Nerfstudio(PosedImages):
         self._by_id = dict(zip(ids, entries, strict=True))
         self.take({id_: self._view(id_, entry) for id_, entry in self._by_id.items()})
         depths = {id_: self._place(entry["depth_file_path"]) for id_, entry in self._by_id.items() if _has_depth(entry)}
-        self.maps = {"truth": {id_: path for id_, path in depths.items() if id_ in self.images}}
+        self._lost = {id_: path for id_, path in depths.items() if not path.is_file()}
+        self.maps = {"truth": {i: path for i, path in depths.items() if i in self.images and i not in self._lost}}
         self._factor = self._read_unit()
 
     def sources(self) -> list[Path]:
@@ -85,10 +86,13 @@ class Nerfstudio(PosedImages):
 
     def missing(self, id_: str) -> dict[str, str]:
         """Say why a reader is not there, and what to do."""
+        truth = f"{self._file}: frame {id_} names no depth_file_path: add it, or `priors import` depth maps"
+        if id_ in self._lost:
+            truth = f"{self._lost[id_]}: no such file, which {NAME} names: copy it there, or take its name out"
         return {
             "other": f"{NAME} has no stereo pairs: use mono",
             "sweep": f"{NAME} has no LiDAR",
-            "truth": f"{self._file}: frame {id_} names no depth_file_path: add it, or `priors import` depth maps",
+            "truth": truth,
             "sparse": f"{NAME} has no sparse depth",
             "sky": f"{NAME} has no sky masks",
         }
@@ -104,6 +108,8 @@ class Nerfstudio(PosedImages):
             factor = 1e-3 if path.suffix.lower() == ".png" else 1.0
         depth_m = (self.sized(codecs.read_numbers(path), path, id_) * factor).astype(np.float32)
         mask = self._mask(id_)
+        if mask is not None and not mask.is_file():
+            raise DataError(f"{mask}: no such file, which {NAME} names: copy it there, or take its name out")
         if mask is not None:
             depth_m = masked(depth_m, self.sized(codecs.read_image(mask), mask, id_))
         return Depth(self.shown_map(depth_m, id_))

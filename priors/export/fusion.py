@@ -1,4 +1,4 @@
-"""Fusion: the maps of many views as one cloud, one point a voxel, with the views that see it.
+"""Fusion: the maps of many views become one point cloud. A voxel has one point, which knows the views that see it.
 
 In a voxel the pixel that is seen from nearest is the point: its position is what that view's map says, and nothing is
 averaged. The other views' pixels in the voxel are its observations: a track, as COLMAP has it.

@@ -1,4 +1,4 @@
-"""Networks as ONNX files, compared with PyTorch in onnxruntime before they are written, and described beside.
+"""Networks as ONNX files. Each is compared with PyTorch before it is written, and a text file beside describes it.
 
 A file is for one size of image, since all shapes are constants; a stereo network's is for one range of disparities too,
 and its size is rounded up to multiples of 32 (pad smaller pairs at the right and the bottom by their last pixels).

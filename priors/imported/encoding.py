@@ -1,4 +1,4 @@
-"""Encodings: what the numbers in somebody's depth map mean."""
+"""Encoding: the unit and the kind of the numbers in an imported depth map."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""Make: a prior of somebody's depth maps."""
+"""Makes a prior of another program's depth maps."""
 
 import hashlib
 from collections.abc import Callable, Mapping

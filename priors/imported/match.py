@@ -1,4 +1,4 @@
-"""Matches: which of somebody's files belongs to which frame, by their names."""
+"""Which imported file belongs to which frame, by their names."""
 
 import re
 from collections.abc import Mapping, Sequence

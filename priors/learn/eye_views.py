@@ -1,4 +1,4 @@
-"""Real pairs as either eye sees them: the right eye's view is mirrored, so that it too is the left one of its pair."""
+"""Real pairs from both cameras: a mirrored pair makes the right image a left one, so that both can be learned."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass

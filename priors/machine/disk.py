@@ -1,4 +1,4 @@
-"""Disk: whether what is going to be written finds room, before any of it is."""
+"""Disk space: told before anything is written, where there is too little of it."""
 
 import shutil
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Keep freed memory: a network's maps are megabytes each, and fresh pages from the system cost as much as a layer."""
+"""Keeps freed memory for the next map: a fresh page of the system costs as much time as a network's layer."""
 
 import ctypes
 import sys

@@ -1,4 +1,4 @@
-"""Who wants to know when kernels are compiled; apart from compiled.py, which brings numba, so that asking is quick."""
+"""Who is told when kernels are compiled. It is apart from compiled.py, whose import of numba is slow."""
 
 from collections.abc import Callable
 

@@ -1,6 +1,6 @@
 """Dense depth from sparse LiDAR and one image: without learning, or corrected by a network."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
@@ -13,7 +13,7 @@ from priors.methods._completion_classical import complete as complete
 from priors.methods._network import Network
 from priors.methods.lidar import Lidar
 from priors.sky import doubt, sky_mask
-from priors.types import Camera, Depth, FloatMap, Frame, Image, Input, Matrix, Method
+from priors.types import Camera, Depth, Drive, FloatMap, Frame, Image, Input, Matrix, Method
 
 FARTHEST_PX = 1 << 16
 """No image is that large: every pixel is reached."""
@@ -101,6 +101,18 @@ class Completion(Method):
     def weights_digest(self) -> str | None:
         """Return the hash of the network's weights, for the cache's key; None for the classical method."""
         return None if self.network is None else self.network.digest()
+
+    def prepare(
+        self, drive: Drive, folder: Path, on_note: Callable[[str], None] = lambda line: None
+    ) -> Callable[[Frame], Depth]:
+        """Measure the drive's extrinsics where the lidar method's settings ask for it, and its sweeps are read."""
+        if self.source == "velodyne_raw" or self.lidar.extrinsics == "calibration":
+            return self
+        correction, plain = (
+            self.lidar.correction(drive, folder, on_note),
+            replace(self, lidar=self.lidar.as_calibrated()),
+        )
+        return lambda frame: plain(correction.frame(frame))
 
     @threads.limited(None)
     def __call__(self, frame: Frame) -> Depth:

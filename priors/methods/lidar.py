@@ -8,15 +8,17 @@ What must go, and the test that finds it:
 The windows are angles: what separates a 64-line scanner's samples, turned into pixels by the focal length.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Literal, Self
 
 import cv2
 import numpy as np
 
-from priors.errors import DataError, expect_between
+from priors.errors import DataError, expect_between, expect_choices
+from priors.extrinsics.correction import Correction
+from priors.extrinsics.kept import measured_on
 from priors.geometry import invert
 from priors.machine import threads
 from priors.pairs.matching import quick_match
@@ -53,10 +55,15 @@ class Lidar(Method):
     """Drop points of other sweeps that the frame's own sweep looks past: what moved."""
     stereo: bool = True
     """Drop points that the stereo pair contradicts, where the drive has a second camera."""
+    extrinsics: Literal["calibration", "measured"] = "calibration"
+    """How the LiDAR is turned against the camera, and how late it is: as calibrated, or as a dozen frames of the drive
+    show it, measured once (`priors check` tells what they show)."""
 
     VERSION: ClassVar[int] = 1
+    BEFORE: ClassVar[Mapping[str, Any]] = {"extrinsics": "calibration"}
 
     def __post_init__(self) -> None:
+        expect_choices(self, "lidar.")
         expect_between(1, self.sweeps, MOST_SWEEPS, "--lidar.sweeps")
 
     @property
@@ -75,10 +82,21 @@ class Lidar(Method):
     def prepare(
         self, drive: Drive, folder: Path, on_note: Callable[[str], None] = lambda line: None
     ) -> Callable[[Frame], Depth]:
-        """Tell that a drive has no poses; nothing has to be learned from it."""
+        """Tell that a drive has no poses, and measure its extrinsics where that is asked for."""
         if self.sweeps == 1 and not any(drive[index].T_world_cam is not None for index in range(min(len(drive), FEW))):
             on_note(f"{drive.name}: no poses to accumulate sweeps by: each map is made of its own sweep alone")
-        return self
+        if self.extrinsics == "calibration":
+            return self
+        correction, plain = self.correction(drive, folder, on_note), self.as_calibrated()
+        return lambda frame: plain(correction.frame(frame))
+
+    def correction(self, drive: Drive, folder: Path, on_note: Callable[[str], None]) -> Correction:
+        """Return what corrects a drive's frames, as `extrinsics` has it; DataError where they show too little."""
+        return measured_on(drive, folder, on_note).correction
+
+    def as_calibrated(self) -> Self:
+        """Return the same for frames that are corrected already."""
+        return replace(self, extrinsics="calibration")
 
     def __call__(self, frame: Frame) -> Depth:
         """Make the depth map (height, width), metres along the camera's z axis.
@@ -89,7 +107,12 @@ class Lidar(Method):
 
     @threads.limited(None)
     def look(self, frame: Frame, hiding: float = 1.0) -> Depth:
-        """Make the map with windows that look for nearer surfaces `hiding` times as large as usual: see `hidden`."""
+        """Make the map with windows that look for nearer surfaces `hiding` times as large as usual: see `hidden`.
+
+        Raises DataError where the extrinsics are to be measured: that needs the drive (see prepare).
+        """
+        if self.extrinsics == "measured":
+            raise DataError("lidar: measured extrinsics need the drive: call prepare first")
         depth_m = accumulate(frame, self.sweeps, self.motion)
         if self.occlusion:
             depth_m[hidden(depth_m, frame.camera.fx, hiding)] = np.inf

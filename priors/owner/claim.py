@@ -32,6 +32,9 @@ BEAT_S = 10.0
 DEAD_S = 60.0
 """A claim that was not touched for so long is dead."""
 
+TRIES = 20
+"""An empty folder of claims may be deleted by another process while a claim is made in it: then it is made again."""
+
 
 @dataclass(frozen=True)
 class Owner:
@@ -154,20 +157,22 @@ def is_dead(path: Path) -> bool:
 def _create(claim: Claim) -> bool:
     """Make the claim's file, whole or not at all; False where there is one."""
     text = json.dumps({"token": claim.token, **me(os.getpid()).record()})
-    for _ in range(9):  # an empty folder may be deleted by another just now
-        claim.path.parent.mkdir(parents=True, exist_ok=True)
+    vanishing: OSError | None = None
+    for _ in range(TRIES):
         temporary = claim.path.with_name(f".{claim.token}.claim")
         try:
+            claim.path.parent.mkdir(parents=True, exist_ok=True)
             temporary.write_text(text, encoding="utf-8")
             return _link(temporary, claim.path)
-        except FileNotFoundError:
-            continue
+        except (FileNotFoundError, FileExistsError) as error:  # mkdir: it was there, and is gone when that is looked at
+            vanishing = error
         except OSError as error:
             raise OSError(error.errno, error.strerror, str(claim.path)) from error
         finally:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
-    raise FileNotFoundError(2, "the folder vanishes again and again", str(claim.path.parent))
+    assert vanishing is not None
+    raise OSError(vanishing.errno, vanishing.strerror, str(claim.path.parent)) from vanishing
 
 
 def _link(temporary: Path, path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""The way to a prior of a drive: which method, by what the drive has and by what was measured of it."""
+"""Which method makes a drive's prior, by the sensors that the drive has and by what a bench measured on it."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""The wish: which views a field will have and what is wanted of it; it decides which prior is worth its time."""
+"""What a fit needs: its views and its aim. They decide which prior is worth its time."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

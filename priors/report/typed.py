@@ -1,4 +1,4 @@
-"""Commands as they would be typed: what makes a prior, from its manifest."""
+"""The command that makes a prior, written from its manifest."""
 
 import shlex
 from collections.abc import Mapping

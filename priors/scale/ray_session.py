@@ -2,6 +2,7 @@
 
 import logging
 import os
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -16,6 +17,7 @@ PASSED_ON = (extensions.VARIABLE, cpu.VARIABLE, "ROADPRIOR_CACHE", "OMP_WAIT_POL
 """Variables of the environment that the cluster's processes are given."""
 QUIET = {"RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0", "RAY_BACKEND_LOG_LEVEL": "fatal", "RAY_DEDUP_LOGS": "1"}
 """What keeps Ray from telling what a user cannot act on; it reads them when it is imported."""
+AUTO, NO_CLUSTER, PATIENCE_S = "auto", "no cluster there: `ray start --head` begins one", 10.0
 STORE_BYTES = 100 * 2**20
 """Ray's object store where we start it: what travels are frames' numbers, never images."""
 
@@ -95,7 +97,24 @@ def _fit(resources: dict[str, float], share: Share) -> int:
     return min(by_cpu, int(resources.get("GPU", 0) // share.gpus)) if share.gpus else by_cpu
 
 
+def _expect_answer(address: str) -> None:
+    """Raise where nothing listens at an address: Ray itself waits for minutes, and tells of each of its tries.
+
+    Raises:
+        UsageError: it is no address.
+        DataError: nothing listens there.
+    """
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    expect(bool(host) and port.isdigit(), "--address", address, "auto, HOST:PORT or ray://HOST:PORT")
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), PATIENCE_S).close()
+    except (OSError, OverflowError) as error:
+        raise DataError(f"--address {address}: {NO_CLUSTER} ({error})") from error
+
+
 def _connect(ray: ModuleType, address: str | None) -> None:
+    if address not in (None, AUTO):
+        _expect_answer(str(address))
     given: dict[str, Any] = {"log_to_driver": False, "logging_level": logging.ERROR}
     if address is None:  # its processes are of this one's environment; to name it would start others beside them
         given |= {"include_dashboard": False, "object_store_memory": STORE_BYTES}
@@ -107,7 +126,7 @@ def _connect(ray: ModuleType, address: str | None) -> None:
     except Exception as error:  # Ray raises plain ones too
         if address is None:
             raise DataError(f"--engine ray: Ray does not start here: {_first_line(error)}") from error
-        raise DataError(f"--address {address}: no cluster there: `ray start` begins one") from error
+        raise DataError(f"--address {address}: {NO_CLUSTER}") from error
 
 
 def _first_line(error: Exception) -> str:

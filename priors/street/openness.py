@@ -1,4 +1,4 @@
-"""How much of the sky each place near the street sees: what makes doorways, arches and the ground under cars dark."""
+"""Ambient occlusion: how much of the sky each place sees. Doorways and the ground under cars are dark by it."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""Newest: work on the last of many wishes. A slider that is dragged asks faster than points can be made."""
+"""Works on the newest request only: a dragged slider asks faster than points can be made."""
 
 import threading
 from collections.abc import Callable

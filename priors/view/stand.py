@@ -1,4 +1,4 @@
-"""Stand: the browser's camera put at a frame's place, and the first place from which a drive is seen."""
+"""Where the browser's camera stands: at a frame's pose, and at first where the whole drive can be seen."""
 
 from typing import Any
 

@@ -92,9 +92,8 @@ def prepare(home: Path, frames: int, size: tuple[int, int]) -> None:
 def row(kind: str, scores: Sequence[FrameScore], fields: int, spent: str) -> str:
     image = mean([score.image for score in scores])
     depth = [score.depth.metrics()["abs_rel"] for score in scores if score.depth is not None]
-    return (
-        f"| {kind} | {fields} | {image['psnr']:.2f} | {image['ssim']:.4f} | {sum(depth) / len(depth):.4f} | {spent} |"
-    )
+    figures = f"{image['psnr']:.2f} | {image['ssim_gauss11']:.4f} | {sum(depth) / len(depth):.4f}"
+    return f"| {kind} | {fields} | {figures} | {spent} |"
 
 
 def measure(long: Long, kind: str) -> None:
@@ -105,7 +104,7 @@ def measure(long: Long, kind: str) -> None:
     scores = [score for report in reports for score in report.frames]
     fields = 1 if kind == "one field" else long.parts
     print(row(kind, scores, fields, f"{spent_s:.0f} | {peak_mb:.0f}"), flush=True)
-    print("    by view: " + " ".join(f"{score.image.psnr:.1f}" for score in scores), flush=True)
+    print("    by view: " + " ".join(f"{score.figures()['psnr']:.1f}" for score in scores), flush=True)
 
 
 def main() -> None:

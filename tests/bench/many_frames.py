@@ -68,8 +68,9 @@ def fit(drive: Path, prior: Path | None, steps: int) -> None:
 def measure(home: Path, source: Path, count: int, asked: argparse.Namespace) -> None:
     drive = link(source, home, count)
     cache, fits = home / "cache", [__file__, "--steps", asked.steps, "--fit", drive]
-    build = ["-m", "cli.priors", "build", drive, "--method", "lidar", "--cache", cache]
-    run(f"{count} frames: priors build --method lidar", *build)
+    shard = f"1/{max(1, count // asked.built)}"  # all frames are planned, and so many computed
+    build = ["-m", "cli.priors", "build", drive, "--method", "lidar", "--cache", cache, "--shard", shard]
+    run(f"{count} frames: priors build --method lidar --shard {shard}", *build)
     run(f"{count} frames: a fit's scene and {asked.steps} steps, colours alone", *fits)
     if count <= asked.guided:
         shutil.rmtree(home / source.parent.name / "runs")
@@ -84,6 +85,7 @@ def main() -> None:
     parser.add_argument(
         "--home", type=Path, help="where the files go, 20 MB a frame at most; default: a folder of TMPDIR"
     )
+    parser.add_argument("--built", type=int, default=1000, help="about so many maps are computed of each drive")
     parser.add_argument("--guided", type=int, default=1000, help="most frames of a fit with a prior")
     parser.add_argument("--fit", type=Path, help="a drive: fit it in this process, with --prior")
     parser.add_argument("--prior", type=Path)

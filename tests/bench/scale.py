@@ -13,7 +13,7 @@ import os
 import resource
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,7 +64,7 @@ def simulate(rows: int, nap_s: float) -> None:
         first = First()
         build_on_ray(orders("ray"), 1, first, Share(1))
         wall_s, spent_s, memory_mb = time.perf_counter() - began, processor_s() - before, peak_mb()
-        assert first.done == rows, f"{first.done} of {rows} rows built"
+        assert first.done == rows, f"{first.done} of {rows} rows built: {first.failed}"
         own = time.process_time()
         sample = orders("local")[: max(1, min(10, len(drives)))]
         built = sum(min(FRAMES, rows) for _ in sample)
@@ -86,10 +86,12 @@ class First:
     """Frames that were built in the first stretch."""
     at_s: float = 0.0
     processor_s: float = 0.0
+    failed: dict[str, str] = field(default_factory=dict)
 
     def __call__(self, part: "Part") -> None:
         """Count a part."""
         self.done += part.built
+        self.failed |= part.failed
         if part.built and not self.with_it:
             self.with_it, self.at_s, self.processor_s = part.built, time.perf_counter(), processor_s()
 

@@ -7,6 +7,7 @@ processes are the same bits. Without --drive a small street is written, and its 
 
 import argparse
 import os
+import resource
 import statistics
 import subprocess
 import sys
@@ -40,14 +41,21 @@ class Setting:
     """Of a step, all processes together."""
     steps: int
 
-    def run(self, name: str, processes: int) -> Path:
-        """Fit, and return the run's folder; nothing is rendered: the frames' range has no held-out view."""
+    def run(self, name: str, processes: int) -> tuple[Path, float]:
+        """Fit, and return the run's folder and its processor time; no view is held out: nothing is rendered."""
         folder = self.home / "runs" / name
         words = ["fit", self.drive, "--prior", self.prior, "--frames", "0:9", "--rays", self.rays // processes]
         words += ["--steps", self.steps, "--threads", 2 // processes, "--device", "cpu", "--run", folder]
         command = [sys.executable, *(ALONE if processes == 1 else LAUNCH), *map(str, words)]
+        before = spent_s()
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env={**os.environ})
-        return folder
+        return folder, spent_s() - before
+
+
+def spent_s() -> float:
+    """Return the processor time of all processes that were started here and have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
 
 
 def step_ms(lines: list[dict[str, Any]]) -> list[float]:
@@ -62,16 +70,20 @@ def state(run: Path) -> dict[str, torch.Tensor]:
 
 def measure(setting: Setting, turns: int) -> None:
     runs: dict[int, list[Path]] = {1: [], 2: []}
+    spent: dict[int, list[float]] = {1: [], 2: []}
     for turn in range(turns):
         for processes, made in runs.items():
-            made.append(setting.run(f"{processes}-{turn}", processes))
+            folder, took_s = setting.run(f"{processes}-{turn}", processes)
+            made.append(folder)
+            spent[processes].append(took_s)
     print(f"{setting.rays} rays a step, {setting.steps} steps, {turns} turns\n")
-    print("| processes x threads | ms a step | same bits each time |\n|---|---:|---|")
+    print("| processes x threads | ms a step | processor s of a run | same bits each time |\n|---|---:|---:|---|")
     for processes, made in runs.items():
         times = [ms for run in made for ms in step_ms(journal.read(run))]
         first, *others = map(state, made)
         same = all(torch.equal(first[name], other[name]) for other in others for name in first)
-        print(f"| {processes} x {2 // processes} | {statistics.median(times):.1f} | {'yes' if same else 'NO'} |")
+        took = f"{statistics.median(times):.1f} | {statistics.median(spent[processes]):.1f}"
+        print(f"| {processes} x {2 // processes} | {took} | {'yes' if same else 'NO'} |")
     print("\n| step | loss of one | loss of two | PSNR of one | PSNR of two |\n|---:|---:|---:|---:|---:|")
     for one, two in zip(journal.read(runs[1][0]), journal.read(runs[2][0]), strict=True):
         print(f"| {one['step']} | {one['loss']:.5f} | {two['loss']:.5f} | {one['psnr']:.2f} | {two['psnr']:.2f} |")
