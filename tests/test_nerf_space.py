@@ -216,7 +216,7 @@ def test_cells_and_steps_near_the_camera_do_not_follow_the_path(kind: Kind) -> N
 
 
 def test_a_long_path_takes_memory_by_its_length_not_by_its_square() -> None:
-    """10,000 frames took 1.6 GB here once."""
+    """A matrix of all frames by all frames is 0.8 GB for 10,000 of them."""
     poses = np.tile(np.eye(4), (4000, 1, 1))
     poses[:, 0, 3] = np.linspace(0, 4000, len(poses))
     tracemalloc.start()
