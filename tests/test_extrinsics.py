@@ -256,6 +256,13 @@ def test_what_is_told_and_restored() -> None:
     assert measured.error_deg == pytest.approx(np.hypot(0.3 * 0.05, 0.1 * 0.04) / np.hypot(0.3, 0.1))
 
 
+def test_only_angles_that_are_sure_are_corrected() -> None:
+    """Two standard errors: what is not seen has an error of inf."""
+    measured = Measured(Correction((0.3, -0.07, 0.0), 0.021), (0.05, 0.04, np.inf), 0.004)
+    assert measured.sure == Correction((0.3, 0.0, 0.0), 0.021)
+    assert replace(measured, errors_deg=(0.2, 0.03, np.inf)).sure.turn_deg == (0.0, -0.07, 0.0)
+
+
 def test_frames_are_spread_over_the_drive(street: Path) -> None:
     assert spread_frames(open_drive(street)) == list(range(6))
     places = spread_frames(Long())  # type: ignore[arg-type]

@@ -26,6 +26,8 @@ LARGEST_DEG = 2.0
 SURFACES_PX, EDGES_PX, PLACE_DEG = 0.25, 0.25, 0.04
 """Errors of yaw that more frames do not lower (standard deviation): of either way alone, in its images; of both, by a
 LiDAR whose place is known within 1 cm."""
+SURE_TURN = 2.0
+"""An angle is corrected from so many standard errors on: below, a calibration is rather right than the measurement."""
 SURE = 3.0
 """A delay counts from so many standard errors on."""
 SEEN: Mapping[str, float] = {"pitch": 0.2, "yaw": 0.2, "roll": 0.2, "delay": 0.01}
@@ -53,6 +55,13 @@ class Measured:
         turn, errors = np.array(self.correction.turn_deg)[seen], np.array(self.errors_deg)[seen]
         size = float(np.linalg.norm(turn))
         return float(np.linalg.norm(turn * errors)) / size if size > 0 else float(np.max(errors, initial=0))
+
+    @property
+    def sure(self) -> Correction:
+        """The part of the correction that is worth applying: angles of at least SURE_TURN standard errors."""
+        turn, errors = np.array(self.correction.turn_deg), np.array(self.errors_deg)
+        pitch, yaw, roll = (float(each) for each in np.where(np.abs(turn) >= SURE_TURN * errors, turn, 0.0))
+        return replace(self.correction, turn_deg=(pitch, yaw, roll))
 
     @property
     def has_delay(self) -> bool:

@@ -92,7 +92,7 @@ class Lidar(Method):
 
     def correction(self, drive: Drive, folder: Path, on_note: Callable[[str], None]) -> Correction:
         """Return what corrects a drive's frames, as `extrinsics` has it; DataError where they show too little."""
-        return measured_on(drive, folder, on_note).correction
+        return measured_on(drive, folder, on_note).sure
 
     def as_calibrated(self) -> Self:
         """Return the same for frames that are corrected already."""
