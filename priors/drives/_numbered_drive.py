@@ -44,7 +44,7 @@ class NumberedDrive(CameraDrive):
 
     @property
     def times_file(self) -> Path | None:
-        """The file of the frames' times, where they tell where the path breaks."""
+        """The file, there or not, of the times that tell where the path breaks; None where nothing but poses does."""
         return None
 
     def readers(self, id_: str) -> Readers:
@@ -57,8 +57,9 @@ class NumberedDrive(CameraDrive):
     def files(self, id_: str) -> Files:
         """Return which file each reader reads: also sweeps, and the times that tell where their path breaks."""
         files: Files = {"sweep": lambda offset=0: self._sweep_file(int(id_) + offset)}
-        if self.times_file is not None:
-            files["sweep.times"] = lambda: self.times_file
+        times = self.times_file
+        if times is not None:
+            files["sweep.times"] = lambda: times if times.is_file() else None
         return super().files(id_) | files
 
     def T_cam_lidar(self, id_: str) -> Matrix | None:

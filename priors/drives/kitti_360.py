@@ -237,15 +237,14 @@ class Kitti360(NumberedDrive):
         return {"pose": f"{self._pose_file}: no line begins with a frame's number: download data_poses again"}
 
     @property
-    def times_file(self) -> Path | None:
-        """timestamps.txt of this camera, where it is there."""
-        path = self.folder / self.camera_name / "timestamps.txt"
-        return path if path.is_file() else None
+    def times_file(self) -> Path:
+        """timestamps.txt of this camera, there or not."""
+        return self.folder / self.camera_name / "timestamps.txt"
 
     @cached_property
     def _times(self) -> dict[int, float]:
         """Camera times by frame number."""
-        return {} if self.times_file is None else read_times(self.times_file)
+        return read_times(self.times_file) if self.times_file.is_file() else {}
 
     @cached_property
     def path(self) -> Trajectory:

@@ -146,10 +146,9 @@ class KittiOdometry(NumberedDrive):
         return Trajectory.of_numbers(readable(self._pose_lines, self._T_world_cam0), self._times)
 
     @property
-    def times_file(self) -> Path | None:
-        """times.txt, where it is there."""
-        path = self.folder / "times.txt"
-        return path if path.is_file() else None
+    def times_file(self) -> Path:
+        """times.txt, there or not."""
+        return self.folder / "times.txt"
 
     def time_s(self, id_: str) -> float | None:
         """Return the time that times.txt tells."""
@@ -248,7 +247,7 @@ class KittiOdometry(NumberedDrive):
     def _times(self) -> dict[int, float]:
         """Seconds since the first frame, by frame number; empty without times.txt."""
         path = self.times_file
-        if path is None:
+        if not path.is_file():
             return {}
         try:
             return {n: float(line.text) for n, line in enumerate(read_lines(path)) if line.text}
