@@ -25,6 +25,8 @@ class NumberedDrive(CameraDrive):
 
     compensated: ClassVar[bool] = False
     """Whether sweeps are of one moment; else each is a turn of the scanner, and its points carry times."""
+    has_times: ClassVar[bool] = False
+    """Whether the data set has a file of the frames' times, which tells where the path breaks: see `times_file`."""
     sweeps: Mapping[str, Path]
     """Frame id -> sweep; also those of numbers that have no image."""
 
@@ -44,7 +46,7 @@ class NumberedDrive(CameraDrive):
 
     @property
     def times_file(self) -> Path | None:
-        """The file of the frames' times, where they tell where the path breaks."""
+        """The file of the frames' times; None where it is not there."""
         return None
 
     def readers(self, id_: str) -> Readers:
@@ -57,7 +59,7 @@ class NumberedDrive(CameraDrive):
     def files(self, id_: str) -> Files:
         """Return which file each reader reads: also sweeps, and the times that tell where their path breaks."""
         files: Files = {"sweep": lambda offset=0: self._sweep_file(int(id_) + offset)}
-        if self.times_file is not None:
+        if self.has_times:
             files["sweep.times"] = lambda: self.times_file
         return super().files(id_) | files
 
