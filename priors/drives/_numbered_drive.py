@@ -25,8 +25,6 @@ class NumberedDrive(CameraDrive):
 
     compensated: ClassVar[bool] = False
     """Whether sweeps are of one moment; else each is a turn of the scanner, and its points carry times."""
-    has_times: ClassVar[bool] = False
-    """Whether the data set has a file of the frames' times, which tells where the path breaks: see `times_file`."""
     sweeps: Mapping[str, Path]
     """Frame id -> sweep; also those of numbers that have no image."""
 

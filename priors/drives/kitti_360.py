@@ -82,7 +82,6 @@ class Kitti360(NumberedDrive):
 
     pairs = (CAMERAS,)
     usual_camera = "image_00"
-    has_times = True
 
     def __init__(self, folder: Path, camera: str) -> None:
         super().__init__(folder, camera)

@@ -93,7 +93,6 @@ class KittiOdometry(NumberedDrive):
     pairs = (("image_0", "image_1"), ("image_2", "image_3"))
     usual_camera = "image_2"
     compensated = True
-    has_times = True
 
     def __init__(self, folder: Path, camera: str, truth: Path | None = None) -> None:
         super().__init__(folder, camera, truth)
