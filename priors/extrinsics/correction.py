@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.transform import Rotation
 
 from priors.geometry import invert
 from priors.types import Frame, Matrix, Sweep
@@ -30,6 +29,8 @@ class Correction:
     @property
     def R(self) -> Matrix:
         """The turn (3, 3)."""
+        from scipy.spatial.transform import Rotation  # not for --help
+
         return np.asarray(Rotation.from_rotvec(self.turn_deg, degrees=True).as_matrix())
 
     @property

@@ -18,7 +18,6 @@ import numpy as np
 
 from priors.errors import DataError, expect_between, expect_choices
 from priors.extrinsics.correction import Correction
-from priors.extrinsics.kept import measured_on
 from priors.geometry import invert
 from priors.machine import threads
 from priors.pairs.matching import quick_match
@@ -92,6 +91,8 @@ class Lidar(Method):
 
     def correction(self, drive: Drive, folder: Path, on_note: Callable[[str], None]) -> Correction:
         """Return what corrects a drive's frames, as `extrinsics` has it; DataError where they show too little."""
+        from priors.extrinsics.kept import measured_on  # scipy: not for --help
+
         return measured_on(drive, folder, on_note).sure
 
     def as_calibrated(self) -> Self:
