@@ -17,6 +17,7 @@ from priors.drive_around import DriveAround
 from priors.drives import open_drive
 from priors.errors import DataError
 from priors.extrinsics import kept
+from priors.extrinsics import measure as measuring
 from priors.extrinsics.correction import NONE, Correction
 from priors.extrinsics.edges import EdgeView, yaw_by_edges
 from priors.extrinsics.fit import fit_surfaces
@@ -311,9 +312,13 @@ def test_it_is_measured_once_and_again_where_a_frame_has_changed(own_street: Pat
     assert kept.measured_on(drive, tmp_path / "kept").correction.turn_deg[0] != 0.25
 
 
-def test_methods_work_as_measured_and_say_what_they_need(street: Path, tmp_path: Path) -> None:
+def test_methods_work_as_measured_and_say_what_they_need(
+    street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(measuring, "SURE_TURN", 1e-9)  # a right street's angles are not sure, and here they shall count
     drive = open_drive(street)
-    found = kept.measured_on(drive, tmp_path / drive.name / "weights").correction
+    found = kept.measured_on(drive, tmp_path / drive.name / "weights").sure
+    assert found.size_deg > 0
     corrected = found.frame(drive[2])
     for name, asked in (("lidar", Lidar(sweeps=3)), ("completion", Completion(source="lidar", lidar=Lidar(sweeps=3)))):
         as_measured = replace(asked, **({"extrinsics": "measured"} if name == "lidar" else measured_lidar(asked)))
