@@ -10,7 +10,7 @@ PAGE = """<!doctype html><html lang="en"><meta charset="utf-8"><title>A page</ti
 <style>:root { color-scheme: light dark } body { margin: 0 }</style>
 <button style="width: 100px; height: 100px; border: 0; background: rgb(200, 0, 0)"
   onclick="this.style.background = 'rgb(0, 200, 0)'"></button>
-<canvas width="60" height="60"></canvas>
+<canvas width="60" height="60" style="display: block"></canvas>
 <script>
 const gl = document.querySelector("canvas").getContext("webgl", { preserveDrawingBuffer: true });
 gl.clearColor(0, 0, 1, 1);
