@@ -17,6 +17,7 @@ from priors.drives import DriveOptions
 from priors.errors import DataError, UsageError, expect_between
 from priors.machine import threads
 from priors.places import the_place
+from priors.selection import select
 from priors.types import Drive
 
 if TYPE_CHECKING:  # the choices are the files of a folder: known when it runs
@@ -191,6 +192,15 @@ def reopen_drive(priors: Sequence[Prior], truth: Path | None = None, data: Path 
         with suppress(OSError):  # a cache that cannot be written is told of the new place each time
             cache.create(prior.folder, moved)
     return drive
+
+
+def built_frames(priors: Sequence[Prior], drive: Drive, frames: str | None) -> list[int]:
+    """Return the positions of a drive's frames of which a prior has a map, in a range a:b; DataError where none has."""
+    built = {id_ for prior in priors for id_ in prior.ids()}
+    found = [index for index in select(drive.ids, frames) if drive.ids[index] in built]
+    if not found:
+        raise DataError(f"{priors[0].folder.parent}: no maps of these frames: build them first")
+    return found
 
 
 def _with_near_poses(described: dict[str, Any], cache_of_drive: Path) -> dict[str, Any]:

@@ -96,7 +96,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
     filters: tyro.conf.OmitArgPrefixes[Filters] = field(default_factory=Filters)
     lpips: tyro.conf.OmitArgPrefixes[LpipsArguments] = field(default_factory=LpipsArguments)
     field: FieldName | Literal["auto"] = AUTO
-    """Family of fields; auto: Gaussians (splat) where a dense prior shows the surfaces, else mip360."""
+    """Family of fields; auto: Gaussians (splat) where a prior is dense and right, else mip360."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -133,14 +133,16 @@ def _fit(args: FitArguments, typed: list[str]) -> int:
         raise UsageError(f"--field {args.field}: shows the training frames by a prior's depth: add --prior cache/")
     if args.engine.engine == "ray" and here().size > 1:
         raise UsageError("--engine ray: starts its own processes: leave torchrun out, or this")
+    config = args.config()
     if args.field != AUTO:
-        _refuse_unread(args.config())
+        _refuse_unread(config)
     with busy("looking at the drive and its priors"):
         drive, prior = open_sources(args, args.prior, typed)
     scene, folder = args.scene(), args.run
-    with leader_first():
-        config = args.config(_family(args, drive, prior) if args.field == AUTO else None)
-    _refuse_unread(config, " is what --field auto took here: it" if args.field == AUTO else "")
+    if args.field == AUTO:
+        with leader_first():
+            config = args.config(_family(args, drive, prior))
+        _refuse_unread(config, " is what --field auto took here: it")
     if folder is None and args.sequence is not None:  # sequences of one drive are told apart
         folder = RUNS / f"{args.sequence}-{RunConfig.of(drive, prior, scene, config).title}"
     with leader_first():  # it makes the folder and the scene's arrays, which the others find

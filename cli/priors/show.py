@@ -6,7 +6,7 @@ from typing import Annotated
 
 import tyro
 
-from cli.arguments import by_drive, drive_names, find_priors, parse, reopen_drive
+from cli.arguments import built_frames, by_drive, drive_names, find_priors, parse, reopen_drive
 from cli.console import DATA_ERROR, err, out, progress
 from cli.written import expect_folder
 from priors import codecs
@@ -14,7 +14,7 @@ from priors.cache import Prior
 from priors.draw.comparison import compare
 from priors.errors import DataError, expect_between
 from priors.naming import labels
-from priors.selection import LARGEST_FRAME_NUMBER, parse_range, select
+from priors.selection import LARGEST_FRAME_NUMBER, parse_range
 
 EXAMPLES = """Write pictures: image and truth on top, then a row a prior - depth, error against the truth, confidence.
 
@@ -65,10 +65,7 @@ def run(arguments: list[str]) -> int:
 def _show_drive(priors: list[Prior], drive_name: str, args: ShowArguments) -> bool:
     """Write a drive's pictures; returns whether all maps could be read: those that cannot are named and left out."""
     drive = reopen_drive(priors, args.truth, args.data)
-    cached = {id_ for prior in priors for id_ in prior.ids()}
-    indices = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached][:: args.every]
-    if not indices:
-        raise DataError(f"{priors[0].folder.parent}: no maps of these frames: build them first")
+    indices = built_frames(priors, drive, args.frames)[:: args.every]
     names = labels(priors)
     folder, unread = args.out / drive_name, {}
     with progress("show", len(indices)) as step:

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from cli.arguments import by_drive, find_priors, parse, reopen_drive
+from cli.arguments import built_frames, by_drive, find_priors, parse, reopen_drive
 from cli.console import DATA_ERROR, busy, err, out, progress
 from cli.written import expect_file
 from priors import cache
@@ -19,7 +19,7 @@ from priors.draw.panel import Tile
 from priors.errors import DataError, UsageError, expect, expect_between
 from priors.flicker import flicker_of
 from priors.naming import labels
-from priors.selection import parse_range, select
+from priors.selection import parse_range
 from priors.types import Depth, Drive, Frame, Image
 
 EXAMPLES = """Write a video of the images and of priors' depth, all in one scale of colours.
@@ -84,10 +84,7 @@ def _write(priors: Sequence[Prior], args: VideoArguments) -> int:
     """Write the video of one drive's priors; maps that cannot be read are named, and their places stay dark."""
     with busy("opening the drive"):
         drive = reopen_drive(priors, args.truth, args.data)
-    cached = {id_ for prior in priors for id_ in prior.ids()}
-    indices = [index for index in select(drive.ids, args.frames) if drive.ids[index] in cached]
-    if not indices:
-        raise DataError(f"{priors[0].folder.parent}: no maps of these frames: build them first")
+    indices = built_frames(priors, drive, args.frames)
     titles = _titles(priors, drive, [drive.ids[index] for index in indices], args)
     unread: dict[str, DataError] = {}
 
