@@ -136,15 +136,15 @@ def _by_ray(rules: LossConfig, shot: Shot, seen: Rasterised, out: ViewLosses, dr
 def intervals(made: Contributions) -> Samples:
     """Return the stretches of the rays, in metres of depth, that single Gaussians stand for, padded."""
     t, count = made.depths_m, len(made.depths_m)
-    first, last = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.bool)
+    first, last = (torch.zeros(count, dtype=torch.bool, device=t.device) for _ in range(2))
     starts, ends = made.offsets[:-1], made.offsets[1:]
     held = ends > starts
     first[starts[held]], last[ends[held] - 1] = True, True
     middle = (t[1:] + t[:-1]) / 2
     low = torch.cat([t[:1] * 0, middle])
     high = torch.cat([middle, t[-1:]])
-    low = torch.where(first.to(t.device), 0.0, low)
-    high = torch.where(last.to(t.device), t.clamp(min=0) + FARTHEST_M, high)
+    low = torch.where(first, 0.0, low)
+    high = torch.where(last, t.clamp(min=0) + FARTHEST_M, high)
     length = (high - low).clamp(min=LEAST_M)
     ray = torch.repeat_interleave(torch.arange(len(starts), device=t.device), ends - starts).int()
     padding = padded_count(count) - count
