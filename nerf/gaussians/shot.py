@@ -32,6 +32,8 @@ class Shot:
     """(h, w) 1 where the image shows sky; None: nobody knows."""
     counts: Tensor | None = None
     """(h, w) how much a pixel's colour counts; None: all alike."""
+    frame: int | None = None
+    """Its number among the training frames; None: a virtual view."""
     share: float = 1.0
     """Share of the steps that know what this one knows of depth and sky."""
 
@@ -43,7 +45,8 @@ def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device
     trust = None if scene.weight is None else _on(device, scene.weight[position]) / 255
     sky = None if scene.sky is None else _on(device, scene.sky[position])
     weight = prior_weight(rules, Rays(rgb, rgb, depth_m=depth_m, weight=trust))
-    return Shot(position, Viewpoint(scene.camera, scene.T_world_cam[position]), rgb, depth_m, weight, sky)
+    viewpoint = Viewpoint(scene.camera, scene.T_world_cam[position])
+    return Shot(position, viewpoint, rgb, depth_m, weight, sky, frame=scene.train.index(position))
 
 
 def position_at(train: list[int], seed: int, step: int) -> int:
