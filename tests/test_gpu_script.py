@@ -72,6 +72,7 @@ def test_a_rehearsal_measures_every_part(pack: Path, tmp_path: Path) -> None:
     assert sum(path.stat().st_size for path in files) < 16 << 20
 
 
+@pytest.mark.slow
 def test_a_part_that_runs_over_is_cut_and_what_it_had_is_kept(pack: Path, tmp_path: Path) -> None:
     """The part starts a child that would go on for long: both are ended."""
     child = tmp_path / "child.py"

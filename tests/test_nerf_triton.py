@@ -15,7 +15,10 @@ from nerf import kernels
 from nerf.types import Gradients, GridConfig, Layers, Target
 from tests.test_nerf_render import make
 
-pytestmark = pytest.mark.skipif(find_spec("triton") is None, reason="no triton: pip install 'roadprior[dev]'")
+pytestmark = [
+    pytest.mark.stress,
+    pytest.mark.skipif(find_spec("triton") is None, reason="no triton: pip install 'roadprior[dev]'"),
+]
 LEAST_SHARED = 99 << 10
 """Shared memory that a program may ask for on the smallest of the GPUs with bfloat16 products, bytes."""
 
