@@ -56,6 +56,9 @@ class Compiler:
         options = {name: constants.pop(name) for name in ("num_warps", "num_stages") if name in constants}
         signature, aligned = {}, {}
         for i, (name, value) in enumerate(zip(self.kernel.arg_names, arguments, strict=False)):
+            if type(value) is int and value == 1:  # the launcher compiles another kernel for it
+                constants[name] = value
+                continue
             scalar = "fp32" if isinstance(value, float) else "i32"
             signature[name] = "*" + names[value.dtype] if isinstance(value, torch.Tensor) else scalar
             if (value.data_ptr() if isinstance(value, torch.Tensor) else value) % 16 == 0:

@@ -11,7 +11,6 @@ from test_nerf_fit import corridor
 from test_splat_fit import config, psnr
 
 from nerf import fields
-from nerf.gaussians import appearance
 from nerf.gaussians.appearance import Appearance, changed, unchanged
 from nerf.gaussians.model import SplatModel
 from nerf.scene import Scene
@@ -45,7 +44,7 @@ def test_a_frame_learns_its_own_change() -> None:
         rgb = torch.rand(8, 9, 3, generator=random)
         off = changed(rgb, model.change[1]) - changed(rgb, wanted)
         model.learn(1, rgb, 2 * off, 1.0)
-    assert (model.change[1] - wanted).abs().max() < 0.02
+    assert (model.change[1] - wanted).abs().max() < 0.03
     assert not model.change[0].any(), "the other frame saw nothing"
 
 
@@ -75,8 +74,7 @@ def trained(scene: Scene, learns: bool) -> SplatModel:
     return model
 
 
-def test_held_out_views_gain_where_exposure_drifts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(appearance, "RATE", 1e-2)  # 120 steps are few
+def test_held_out_views_gain_where_exposure_drifts() -> None:
     scene = exposed(corridor("dense"))
     learned, plain = trained(scene, True), trained(scene, False)
     gain = [psnr(learned, scene, position) - psnr(plain, scene, position) for position in scene.test]

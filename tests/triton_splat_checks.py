@@ -11,11 +11,19 @@ import pytest
 import torch
 from torch import Tensor
 
+from nerf.config import FitConfig, ModelConfig
+from nerf.gaussians import losses as gaussians_losses
+from nerf.gaussians import model as gaussians_model
+from nerf.gaussians.config import GaussianConfig
+from nerf.gaussians.model import SplatFamily
 from nerf.gaussians.types import NAMES, Drawing, Gaussians, Rates, SplatGradients, SplatMoments, ViewGradients
+from nerf.kernels import plain_kernels, triton_kernels
 from nerf.kernels.plain import splat as plain
 from nerf.kernels.triton import splat as ours
+from nerf.losses import LossConfig
 from tests.reference.triton_calls import hasten
 from tests.splats import SMOOTH, cloud, doubled, one, viewpoint
+from tests.test_nerf_fit import corridor
 from tests.test_splat_raster import STRANGE, doubled_gradients, near, same_gradients, same_picture, wanted
 
 INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
@@ -117,8 +125,11 @@ def test_equal_depths_are_drawn_in_order() -> None:
 
 
 def test_contributions_equal_the_twin_and_their_way_back() -> None:
-    shown, expected = both(cloud(60, 4), replace(SMOOTH, enough=1e-3))
+    gaussians = cloud(60, 4, size_m=0.7)
+    gaussians.opacities[::3] = 20.0  # held to MOST_ALPHA
+    shown, expected = both(gaussians, replace(SMOOTH, enough=0.05))
     pixels = torch.tensor([0, 37, 38, 500, 500, 23 * 38 - 1])
+    assert float(home(shown.opacity).flatten()[pixels].max()) > 0.95, "a pixel that is finished"
     made, theirs = ours.contributions(shown, moved(pixels)), plain.contributions(expected, pixels)
     for name in ("pixels", "offsets", "gaussian"):
         torch.testing.assert_close(home(getattr(made, name)), getattr(theirs, name))
@@ -154,6 +165,7 @@ def test_a_pixel_that_is_finished_stays_as_it_is() -> None:
     whole, soon = (both(cloud(100, size_m=0.6), Drawing(enough=x))[0] for x in (0.0, 0.1))
     assert 0 < float((whole.opacity - soon.opacity).max()) < 0.1
     assert float((1 - whole.opacity).min()) < 0.01
+    compare(cloud(100, size_m=0.6), replace(SMOOTH, enough=0.05))
 
 
 @more
@@ -207,3 +219,28 @@ def test_pictures_smaller_than_a_window() -> None:
     near(home(ours.colour_loss(moved(rgb), moved(truth), 0.0).d_rgb), plain.colour_loss(rgb, truth, 0.0).d_rgb, 1e-6)
     with pytest.raises(ValueError, match="11 x 11"):
         ours.colour_loss(moved(rgb), moved(truth), 0.2)
+
+
+@more
+def test_a_fit_goes_the_way_of_the_twins(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The whole chain of training on the kernels, from the start to the sky behind, and a view at the end."""
+    scene = corridor("sparse")
+    model = ModelConfig(family="splat", gaussians=GaussianConfig(most_gaussians=60))
+    config = FitConfig(model=model, losses=LossConfig(loss="urf", trim=0.1, opacity=0.01), rays=16, steps=2)
+    found = []
+    for kernels, device in ((triton_kernels(), DEVICE), (plain_kernels(), torch.device("cpu"))):
+        for module in (gaussians_model, gaussians_losses):
+            monkeypatch.setattr(module, "kernels_for", lambda device, kernels=kernels: kernels)
+        made = SplatFamily().start(scene, config, str(device))
+        first = made.train(scene, config, 0, 0.0)
+        means = [home(x).clone() for x in made.moments.mean.tensors().values()]  # a tenth of the gradients
+        second = made.train(scene, config, 1, 0.5)
+        view = made.render(scene.T_world_cam[scene.test[0]], scene.camera)
+        found.append((home(first.total), home(second.total), means, view))
+    (*totals, means, view), (*expected, theirs, other) = found
+    for total, right in zip(totals, expected, strict=True):
+        torch.testing.assert_close(total, right, rtol=2e-3, atol=1e-4)
+    for name, mine, right in zip(NAMES, means, theirs, strict=True):
+        assert right.abs().max() > 0, name
+        near(mine, right, 5e-3, name)
+    assert float(abs(view.rgb - other.rgb).mean()) < 5e-3 < float(view.rgb.std())

@@ -13,8 +13,8 @@ from torch import Tensor
 from nerf.warp.frames import unlike_m
 from priors.types import Matrix
 
-RATE = 2e-3
-"""A step of Adam moves a number by about so much at most."""
+RATE = 1e-2
+"""A step of Adam moves a number by about so much at most: in a minute a frame of many is drawn twenty times."""
 PULL = 0.01
 """How firmly numbers are held to no change: the loss is PULL times their squared change, summed."""
 BETAS, EPSILON = (0.9, 0.99), 1e-8

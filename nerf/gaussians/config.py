@@ -30,6 +30,8 @@ class GaussianConfig:
     frame was drawn eight times; 0: none."""
     normal_weight: float = 0.0
     """Weight of the loss that lays Gaussians along the surface that the rendered depth shows; 0: none."""
+    robust: bool = False
+    """Leave out pixels of a training frame that the other frames contradict: what drives or walks."""
     appearance: bool = False
     """Learn an affine change of colour for each training frame: exposure and white balance differ."""
 

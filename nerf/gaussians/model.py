@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
-from nerf.gaussians import growth, normals
+from nerf.gaussians import growth, movers, normals
 from nerf.gaussians.appearance import Appearance, changed, unchanged
 from nerf.gaussians.backdrop import TRAINED, Backdrop
 from nerf.gaussians.config import GaussianConfig
@@ -81,7 +81,7 @@ class SplatModel:
         if self._virtual is not None and is_virtual(later, share):
             return self._virtual.shot(config.seed, between)
         shot = shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
-        return replace(shot, share=1 - share)
+        return replace(shot, share=1 - share, late=step >= movers.LAPS * len(scene.train))
 
     def _virtual_share(self, scene: Scene, step: int, progress: float) -> float:
         """Return which share of the steps learns from virtual views now; without a prior none does."""
@@ -103,6 +103,8 @@ class SplatModel:
         rgb = self.backdrop.behind(seen, shot.viewpoint, TRAINED)
         change = self._change(shot.viewpoint.T_world_cam)
         shown = rgb if change is None else changed(rgb, change)
+        if shot.late and self.settings.robust:
+            shot = shot.only(movers.counted(shown, seen.depth_m(OPACITY_FLOOR), shot))
         share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
         colour = self._splat.colour_loss(shown, shot.rgb, share, shot.counts)
         rules = _for_fewer(config.losses, shot.share)

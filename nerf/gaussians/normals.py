@@ -19,6 +19,7 @@ from torch.linalg import cross
 
 from nerf.gaussians.growth import matrices
 from nerf.gaussians.types import Drawing, Gaussians, Rasterised, SplatGradients, ViewGradients, Viewpoint
+from nerf.harmonics import Y0
 from nerf.kernels import SplatKernels
 from nerf.types import OPACITY_FLOOR
 from priors.geometry import rays
@@ -29,8 +30,6 @@ SOLID = 0.5
 """Opacity from which on a pixel has a surface."""
 EDGE = 0.1
 """Between pixels whose depths differ by a larger share there is an edge."""
-Y0 = 0.28209479177387814
-"""The spherical harmonic of degree 0."""
 GREY, SPAN = 0.5, 0.4
 """A normal is drawn as the colour GREY + SPAN n: colours below 0 are not drawn."""
 LEAST = 1e-12

@@ -10,13 +10,12 @@ from nerf.gaussians.model import SplatModel
 from nerf.gaussians.seeds import Seeds
 from nerf.gaussians.start import start_of
 from nerf.gaussians.types import Gaussians
+from nerf.harmonics import Y0
 from nerf.scene import Scene
 from priors.machine import threads
 
 OPACITY = 0.8
 """Of the discs at the start."""
-Y0 = 0.28209479177387814
-"""The spherical harmonic of degree 0."""
 
 
 def planted(scene: Scene, config: FitConfig, device: torch.device, shown: Scene | None = None) -> SplatModel:

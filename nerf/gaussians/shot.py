@@ -1,6 +1,6 @@
 """Shot: a training frame as a step sees it, a whole image with what is known of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -36,6 +36,12 @@ class Shot:
     """Its number among the training frames; None: a virtual view."""
     share: float = 1.0
     """Share of the steps that know what this one knows of depth and sky."""
+    late: bool = False
+    """Whether it is a frame that was learned from often enough to tell what of it the others contradict."""
+
+    def only(self, counts: Tensor) -> "Shot":
+        """Return the view with pixels (h, w) that count so much, in colour and in depth."""
+        return replace(self, counts=counts, weight=None if self.weight is None else self.weight * counts)
 
 
 def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device) -> Shot:

@@ -11,6 +11,8 @@ def hasten() -> None:
     import triton.language as tl
     from triton.runtime import interpreter
 
+    if not hasattr(interpreter, "_LangPatchScope"):
+        return  # another version: it is slow, and right
     replace: Callable[[Any], Any] = interpreter._patch_lang
     done: set[str] = set()
 

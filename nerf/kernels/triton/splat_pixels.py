@@ -32,12 +32,12 @@ def walk(  # type: ignore[no-untyped-def]
         found += tl.load(offsets + r)
     while (at < end) & (most >= enough):
         who, own, here = blend.chunk(members, at, end, records, COUNT)
-        _, _, alpha, _, weight, after = blend.stopped(own, here, column, row, rest, least_log, enough)
-        there = alpha > 0
+        _, _, alpha, odds, weight, after = blend.stopped(own, here, column, row, rest, least_log, enough)
+        there = odds > 0
         if FILL:
             place = found[None, :] + tl.cumsum(there.to(tl.int32), axis=0) - 1
             tl.store(which + place, who[:, None].to(tl.int32), mask=there)
-            tl.store(alphas + place, alpha, mask=there)
+            tl.store(alphas + place, tl.minimum(alpha, _MOST_ALPHA), mask=there)
             tl.store(weights + place, weight, mask=there)
             tl.store(depths_m + place, blend.column_of(own, here, record.DEPTH), mask=there)
         found += tl.sum(there.to(tl.int32), axis=0)

@@ -75,7 +75,7 @@ def project(  # type: ignore[no-untyped-def]
 def _span(middle, half, size):  # type: ignore[no-untyped-def]
     """Return the first and the last pixel within half of the middle, as floats; last < first: none. NaN stays NaN."""
     low, high = tl.ceil(middle - half), tl.floor(middle + half)
-    last = size.to(tl.float32) - 1
+    last = (size - 1) * 1.0  # Triton takes a size of 1 for a constant, which has no type to be changed
     return tl.where(low < 0, 0.0, tl.where(low > last, last + 1, low)), tl.where(high > last, last, high)
 
 
