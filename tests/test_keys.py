@@ -51,9 +51,9 @@ KNOWN = {
 }
 PINNED = {
     "completion": "673932937f",
-    "fused": "097ea992e9",
+    "fused": "1a0521d384",
     "lidar": "b9b776c9ee",
-    "mono": "76152fe3bd",
+    "mono": "25645a8c89",
     "stereo": "a3edb4fd4d",
 }
 

@@ -1,7 +1,7 @@
 """Our single-image network: run on a frame, and adapted to a drive."""
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,13 +17,13 @@ from priors.errors import DataError
 from priors.geometry import resize
 from priors.keys import key_of
 from priors.methods._mono_estimator import Prediction
-from priors.methods._mono_size import enlarge, shrink
+from priors.methods._mono_size import brought, scaled
 from priors.methods._mono_supervision import PlannedSupervision
 from priors.methods._network import Network
 from priors.nets import runtime, weights
 from priors.owner import claim
 from priors.records import original, record
-from priors.types import Camera, Drive, Image
+from priors.types import Camera, Drive, FloatMap, Image
 
 if TYPE_CHECKING:  # onnxruntime's half is loaded where it is asked for
     from priors.nets.graphs import Portable
@@ -33,32 +33,33 @@ POLL_S = 0.3
 """How often to look whether another build has adapted the weights."""
 MADE_OF = "made_of"
 """Entry of the adapted weights' header: the files that they learned from, by frame (priors/cache/learned.py)."""
+APART = 0.5
+"""Share of the looks' difference that adds to the error to expect."""
 VERSION = 1
 """Of how adapting works: part of the adapted weights' key."""
 
 
-def estimate(net: "Ready | Portable", image: Image, camera: Camera, share: float = 1.0) -> Prediction:
+def estimate(net: "Ready | Portable", image: Image, camera: Camera, shares: Sequence[float] = (1.0,)) -> Prediction:
     """Run the network on an image: depth in metres, 0 in the sky, and the expected error of its logarithm.
 
-    With a share below 1 it looks at an image whose sides are that share of the given one's; its answer has the image's
-    size all the same.
+    It looks at the image once a share: at its sides times that share. The answer has the image's size all the same. Of
+    several looks it is the mean in the logarithm, and the more they differ, the larger is the error to expect.
     """
-    if share < 1:
-        return _enlarged(net, shrink(image, share), camera)
-    out = net(runtime.as_input(image), torch.from_numpy(camera.K).float()[None])
-    with torch.inference_mode():
-        depth_m = torch.where(out.sky_logit > 0, 0.0, out.depth_m)
-        return Prediction(runtime.as_map(depth_m), runtime.as_map(torch.exp(out.log_scale)))
+    seen = [_look(net, image, camera, share) for share in shares]
+    log_inverse, sky_logit, log_error = (np.mean(maps, axis=0) for maps in zip(*seen, strict=True))
+    apart = np.ptp([look[0] for look in seen], axis=0)
+    depth_m = np.where(sky_logit > 0, np.float32(0), np.exp(-log_inverse))
+    return Prediction(depth_m, np.exp(log_error) + np.float32(APART) * apart)
 
 
-def _enlarged(net: "Ready | Portable", small: Image, camera: Camera) -> Prediction:
-    """Run it on a smaller image than the camera's; inverse depth is what changes evenly between pixels."""
-    K = resize(camera, (small.shape[0], small.shape[1])).K
-    out = net(runtime.as_input(small), torch.from_numpy(K).float()[None])
-    with torch.inference_mode():
-        maps = 1 / out.depth_m, out.sky_logit, out.log_scale
-        inverse, sky_logit, log_scale = (enlarge(runtime.as_map(map_), camera.size) for map_ in maps)
-    return Prediction(np.where(sky_logit > 0, np.float32(0), 1 / inverse), np.exp(log_scale))
+def _look(net: "Ready | Portable", image: Image, camera: Camera, share: float) -> tuple[FloatMap, FloatMap, FloatMap]:
+    """Return the logarithm of inverse depth, the sky's logit and the logarithm of the expected error (height, width)."""
+    seen = image if share == 1 else scaled(image, share)
+    out = net(runtime.as_input(seen), torch.from_numpy(resize(camera, seen.shape[:2]).K).float()[None])
+    with torch.inference_mode():  # inverse depth is what changes evenly between pixels
+        maps = (runtime.as_map(map_) for map_ in (1 / out.depth_m, out.sky_logit, out.log_scale))
+        inverse, sky_logit, log_error = maps if share == 1 else (brought(map_, camera.size) for map_ in maps)
+    return np.log(inverse), sky_logit, log_error
 
 
 def adapted_weights(

@@ -10,7 +10,7 @@ from priors.errors import DataError, UsageError, expect, expect_choices
 from priors.machine import threads
 from priors.methods._mono_align import Aligner, Space
 from priors.methods._mono_estimator import Estimator, Predict, Prediction, by_drive, by_frame
-from priors.methods._mono_size import share_of
+from priors.methods._mono_size import looks, share_of
 from priors.methods._network import Network
 from priors.methods._reference import READS, ReferenceDepth
 from priors.recalibration import BELIEVED, Recalibration
@@ -35,8 +35,9 @@ class Mono(Method):
     runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
     """What runs our network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     resize: Literal["auto", "none"] = "auto"
-    """auto: an image with more pixels than KITTI's, or more than 1.5 times its focal length, is shrunk for our network,
-    as the drive's first frame says; none: it is looked at as it is."""
+    """auto: our network looks at each image twice, at 0.85 and 0.55 of KITTI's size, and takes the mean. Where it adapts
+    to the drive, it looks once, and only images with more pixels than KITTI's, or more than 1.5 times its focal length,
+    are shrunk. none: it looks once, at the image as it is."""
     adapt: Literal["none", "lidar", "stereo", "video"] = "none"
     """Fine-tune our network on this drive first: on each training frame's own sweep, where its stereo is sure, or so
     that posed training frames explain each other."""
@@ -57,7 +58,7 @@ class Mono(Method):
     """Range a:b of the frames to adapt and align on, as --frames; hold_out counts inside it. Default: the whole drive,
     whatever --frames says."""
 
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
     """To be raised too where what it learns from or is aligned to changes: the maps of lidar and stereo."""
     BEFORE: ClassVar[Mapping[str, Any]] = {"resize": "none"}
 
@@ -122,8 +123,8 @@ class Mono(Method):
         if self._foreign is not None:
             resolved = replace(resolved, size=fresh.size, runtime=fresh.runtime, resize="none")
         else:
-            small = share_of(frame.camera) == 1  # then it decides nothing
-            resize = "none" if small else self.resize
+            whole = self.adapt != "none" and share_of(frame.camera) == 1  # then it decides nothing
+            resize = "none" if whole else self.resize
             resolved = replace(resolved, runtime=self.network.decide_floating(), resize=resize)
         if aligner is None:
             resolved = replace(resolved, align_to=fresh.align_to, align_in=fresh.align_in, align_per=fresh.align_per)
@@ -214,11 +215,13 @@ class Mono(Method):
         from priors.methods._mono_network import estimate
 
         net = network.open()
-        return lambda image, camera: estimate(net, image, camera, self._share(camera))
+        return lambda image, camera: estimate(net, image, camera, self._shares(camera))
 
-    def _share(self, camera: Camera) -> float:
-        """Return the share of an image's sides at which our network looks at it."""
-        return share_of(camera) if self.resize == "auto" else 1.0
+    def _shares(self, camera: Camera) -> tuple[float, ...]:
+        """Return the shares of an image's sides at which our network looks at it: what adapts to a drive looks once."""
+        if self.resize == "none":
+            return (1.0,)
+        return looks(camera) if self.adapt == "none" else (share_of(camera),)
 
     def _adapt(
         self,
@@ -233,7 +236,7 @@ class Mono(Method):
         from priors.methods._mono_network import adapted_weights
         from priors.methods._mono_supervision import by_depth, by_video
 
-        share = self._share(drive[indices[0]].camera)
+        (share,) = self._shares(drive[indices[0]].camera)
         seen = drive if share == 1 else Resized(drive, share)
         if how == "video":
             planned = by_video(seen, indices)
