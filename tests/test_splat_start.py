@@ -14,7 +14,7 @@ from nerf.gaussians.cover import Cover, looked_through
 from nerf.gaussians.growth import matrices
 from nerf.gaussians.look import look_at
 from nerf.gaussians.seeds import disc_axes
-from nerf.gaussians.start import start_of, usual_step
+from nerf.gaussians.start import ROOM, start_of, usual_step
 from nerf.scene import Scene
 from priors.geometry import invert
 
@@ -113,6 +113,9 @@ def test_a_budget_makes_the_start_coarser() -> None:
     scene = corridor("sparse")
     whole = start_of(scene, 1, 10**6)
     assert 0 < len(start_of(scene, 1, len(whole) // 3)) <= len(whole) // 3
+    usual = len(start_of(scene, 2, 10**6))
+    assert len(start_of(scene, 0, int(1.1 * usual / ROOM))) == usual, "there is room for growth"
+    assert 0 < len(start_of(scene, 0, usual)) <= ROOM * usual
     assert usual_step((120, 397)) == 2 < usual_step((375, 1242)) <= 4
 
 

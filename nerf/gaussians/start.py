@@ -33,6 +33,9 @@ CELLS = 30_000
 """Cells of a frame, about, where nobody says how fine the start is."""
 LEAST_STEP = 2
 """The finest start that nobody asked for: twice as many Gaussians cost more time than they give."""
+ROOM = 0.6
+"""Where nobody says how fine the start is, it takes this share of the Gaussians there may be at most: the rest is for
+what the images ask for."""
 COARSE = 3
 """A cell of the coarse layer is so many times as wide."""
 
@@ -50,6 +53,7 @@ def start_of(scene: Scene, step: int, most: int) -> Seeds:
         step: every so many-th pixel along rows and columns is a candidate; 0: as the images' size and `most` allow.
         most: how many seeds there may be; where `step` gives more, it is raised.
     """
+    most = most if step else int(ROOM * most)
     step = step or usual_step(scene.camera.size)
     while True:
         seeds = _Start(scene, step).seeds()
