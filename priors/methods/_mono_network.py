@@ -53,7 +53,7 @@ def estimate(net: "Ready | Portable", image: Image, camera: Camera, shares: Sequ
 
 
 def _look(net: "Ready | Portable", image: Image, camera: Camera, share: float) -> tuple[FloatMap, FloatMap, FloatMap]:
-    """Return the logarithm of inverse depth, the sky's logit and the logarithm of the expected error (height, width)."""
+    """Return the logarithm of inverse depth, the sky's logit, and the logarithm of the error (height, width)."""
     seen = image if share == 1 else scaled(image, share)
     out = net(runtime.as_input(seen), torch.from_numpy(resize(camera, seen.shape[:2]).K).float()[None])
     with torch.inference_mode():  # inverse depth is what changes evenly between pixels

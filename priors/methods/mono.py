@@ -35,9 +35,9 @@ class Mono(Method):
     runtime: Literal["auto", "bf16", "fp32", "cuda", "onnx"] = "auto"
     """What runs our network; auto: CUDA where there is one, else what a table says is fastest on this CPU."""
     resize: Literal["auto", "none"] = "auto"
-    """auto: our network looks at each image twice, at 0.85 and 0.55 of KITTI's size, and takes the mean. Where it adapts
-    to the drive, it looks once, and only images with more pixels than KITTI's, or more than 1.5 times its focal length,
-    are shrunk. none: it looks once, at the image as it is."""
+    """auto: our network looks at each image twice, at 0.85 and 0.55 of KITTI's size, and takes the mean. A network that
+    adapts to the drive looks once, at what has at most KITTI's pixels and 1.5 times its focal length. none: our network
+    looks once, at the image as it is."""
     adapt: Literal["none", "lidar", "stereo", "video"] = "none"
     """Fine-tune our network on this drive first: on each training frame's own sweep, where its stereo is sure, or so
     that posed training frames explain each other."""
