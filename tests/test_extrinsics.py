@@ -93,8 +93,10 @@ def test_a_point_is_seen_where_the_slow_version_sees_it(
     quick_uv, quick_z = project(CAMERA, Points.of_sweep(sweep, T).placed(by))
     for n in range(5):
         u, v, depth_m = reference.seen_at(xyz_m[n], by.R, T, GOES, float(read.time_s[n]), CAMERA.K)
-        np.testing.assert_allclose([*uv[n], z[n]], [u, v, depth_m], rtol=1e-3, atol=0.1)
-        np.testing.assert_allclose([*quick_uv[n], quick_z[n]], [u, v, depth_m], rtol=1e-3, atol=0.5)
+        # what is left out is of second order: half of 0.3 rad/s, 11 m/s and (0.05 s)^2, at 5 m: 0.3 px, and as much by
+        # the turning alone at 30 m
+        np.testing.assert_allclose([*uv[n], z[n]], [u, v, depth_m], rtol=1e-3, atol=0.6)
+        np.testing.assert_allclose([*quick_uv[n], quick_z[n]], [u, v, depth_m], rtol=1e-3, atol=0.6)
 
 
 @pytest.mark.parametrize("posed", ["camera", "lidar"])
@@ -196,7 +198,7 @@ def test_surfaces_tell_turn_and_delay(turn: tuple[float, float, float], delay_s:
     fit = fit_surfaces([street_view(wrong, seed) for seed in range(3)], NONE)
     assert fit is not None
     np.testing.assert_allclose(fit.correction.turn_deg, turn, atol=0.06)
-    assert abs(fit.correction.delay_s - delay_s) < 2 * fit.errors[3] < 0.02
+    assert abs(fit.correction.delay_s - delay_s) < 0.006 < 2 * fit.errors[3]
     seen = fit.errors[[0, 1, 2, 3, 5, 6]]
     assert np.isfinite(seen).all() and (seen > 0).all() and np.isinf(fit.errors[4])  # how far aside, edges tell
 
