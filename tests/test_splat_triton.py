@@ -15,15 +15,13 @@ from nerf.gaussians.types import Drawing, Rates, SplatMoments, ViewGradients
 from tests.splats import cloud, viewpoint
 from tests.test_nerf_triton import LEAST_SHARED, Compiler
 
-pytestmark = [
-    pytest.mark.splats,
-    pytest.mark.skipif(find_spec("triton") is None, reason="no triton: pip install 'roadprior[dev]'"),
-]
+pytestmark = pytest.mark.skipif(find_spec("triton") is None, reason="no triton: pip install 'roadprior[dev]'")
 MODULES = ("blend", "pixels", "project", "unblend", "unproject")
 KERNELS = {"project", "shade", "enlist", "draw", "walk", "undraw", "back", "unproject", "move", "straighten"}
 LOSS = {"compare", "differ"}
 
 
+@pytest.mark.splats
 def test_the_kernels_equal_their_twin() -> None:
     """On the GPU, or else in Triton's interpreter: what test_nerf_triton.py leaves out."""
     environment = dict(os.environ)
@@ -36,6 +34,7 @@ def test_the_kernels_equal_their_twin() -> None:
     assert int(re.search(r"(\d+) passed", done.stdout).group(1)) > 60  # type: ignore[union-attr]
 
 
+@pytest.mark.stress
 @pytest.mark.parametrize(("capability", "count", "size"), [(80, 64, (23, 38)), (90, 64, (23, 38)), (90, 1, (1, 1))])
 def test_the_rasteriser_compiles(
     capability: int, count: int, size: tuple[int, int], monkeypatch: pytest.MonkeyPatch, tmp_path: Path

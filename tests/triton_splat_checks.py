@@ -15,7 +15,7 @@ from nerf.config import FitConfig, ModelConfig
 from nerf.gaussians import losses as gaussians_losses
 from nerf.gaussians import model as gaussians_model
 from nerf.gaussians.config import GaussianConfig
-from nerf.gaussians.model import SplatFamily
+from nerf.gaussians.planted import planted
 from nerf.gaussians.types import NAMES, Drawing, Gaussians, Rates, SplatGradients, SplatMoments, ViewGradients
 from nerf.kernels import plain_kernels, triton_kernels
 from nerf.kernels.plain import splat as plain
@@ -225,13 +225,13 @@ def test_pictures_smaller_than_a_window() -> None:
 def test_a_fit_goes_the_way_of_the_twins(monkeypatch: pytest.MonkeyPatch) -> None:
     """The whole chain of training on the kernels, from the start to the sky behind, and a view at the end."""
     scene = corridor("sparse")
-    model = ModelConfig(family="splat", gaussians=GaussianConfig(most_gaussians=60))
+    model = ModelConfig(family="splat", gaussians=GaussianConfig(most_gaussians=60, normal_weight=0.01))
     config = FitConfig(model=model, losses=LossConfig(loss="urf", trim=0.1, opacity=0.01), rays=16, steps=2)
     found = []
     for kernels, device in ((triton_kernels(), DEVICE), (plain_kernels(), torch.device("cpu"))):
         for module in (gaussians_model, gaussians_losses):
             monkeypatch.setattr(module, "kernels_for", lambda device, kernels=kernels: kernels)
-        made = SplatFamily().start(scene, config, str(device))
+        made = planted(scene, config, device)
         first = made.train(scene, config, 0, 0.0)
         means = [home(x).clone() for x in made.moments.mean.tensors().values()]  # a tenth of the gradients
         second = made.train(scene, config, 1, 0.5)
