@@ -13,7 +13,7 @@ INSTALL := -m pip install --quiet --disable-pip-version-check --constraint const
 PIP := $(BIN)/python $(INSTALL)
 
 .DEFAULT_GOAL := help
-.PHONY: help fix cov demo test modes slow browser site splats datasets stress networks parsers mesh cluster lint types bench gpu gpu-pack clean
+.PHONY: help fix cov demo test modes slow browser site splats datasets stress networks parsers mesh cluster properties lint types bench gpu gpu-pack clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -43,6 +43,10 @@ demo: $(VENV)/.installed  ## the whole story on the embedded street: four priors
 
 test: $(VENV)/.dev  ## the quick tests
 	$(BIN)/python -m pytest -m "not slow and not browser and not docs and not splats and not datasets and not stress and not networks and not cluster"
+
+properties: export HYPOTHESIS_PROFILE := random
+properties: $(VENV)/.dev  ## the tests of properties, with examples that no run had before
+	$(BIN)/python -m pytest -q -m "hypothesis and not slow"
 
 $(PARSERS_VENV)/.installed: tests/parsers/requirements.txt
 	$(PYTHON) -m venv $(PARSERS_VENV)

@@ -5,6 +5,8 @@ from torch import Tensor
 
 COUNT = 16
 """Degrees 0 to 3."""
+Y0 = 0.28209479177387814
+"""The harmonic of degree 0, the same in all directions."""
 
 
 def harmonics(units: Tensor) -> Tensor:
@@ -16,7 +18,7 @@ def harmonics(units: Tensor) -> Tensor:
     xx, yy, zz = x * x, y * y, z * z
     return torch.stack(
         [
-            torch.full_like(x, 0.28209479177387814),
+            torch.full_like(x, Y0),
             -0.48860251190291987 * y,
             0.48860251190291987 * z,
             -0.48860251190291987 * x,

@@ -1,5 +1,6 @@
 """What the tests share: the real data beside the checkout, and tiny drives written into a temporary folder."""
 
+import os
 import resource
 import shutil
 from collections.abc import Callable, Iterator
@@ -17,6 +18,7 @@ from factories import (
     write_odometry,
     write_raw,
 )
+from hypothesis import settings
 
 from priors import drives, methods
 from priors.drives import open_drive
@@ -24,6 +26,9 @@ from priors.machine import cpu
 from priors.street.write import write_street
 
 cpu.hold_down()  # before anything is compiled, as the commands do
+settings.register_profile("repeated", derandomize=True, deadline=None)  # the same examples in every run
+settings.register_profile("random", deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "repeated"))
 
 FLEET = Path(__file__).parent / "fleet"
 SHARED = Path(__file__).resolve().parents[2] / "shared"

@@ -93,6 +93,7 @@ def _mirrors(seed: int) -> bool:
     return float(batch["K"][0, 0, 2]) != CAMERA.K[0, 2]
 
 
+@pytest.mark.slow
 @given(seed=st.integers(0, 10**6), zoom=st.floats(1.0, 1.6), ahead=st.floats(-0.9, 0.9), turned=st.floats(-0.1, 0.1))
 @settings(max_examples=15, deadline=None)
 def test_true_depth_explains_the_neighbours(seed: int, zoom: float, ahead: float, turned: float) -> None:
@@ -109,6 +110,7 @@ def test_true_depth_explains_the_neighbours(seed: int, zoom: float, ahead: float
         assert min(error(0.7, stride), error(1.4, stride)) > times * error(1.0, stride)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.75, 1.35])
 def test_the_loss_pulls_depth_to_metres(factor: float) -> None:
     """A depth that is wrong by a factor, free to scale and tilt, becomes the true one: the poses are in metres."""

@@ -5,8 +5,10 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Literal
 
+import cv2
+import numpy as np
 import pytest
 from factories import write_folder
 from hypothesis import given
@@ -24,12 +26,13 @@ from priors.bench.judge import judge
 from priors.bench.probe import KINDS, calibrate
 from priors.bench.race import Race
 from priors.bench.results import Bench, Standing, Trial
+from priors.bench.searched import searched
 from priors.cache import find
 from priors.drives import open_drive
 from priors.errors import DataError, UsageError
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
-from priors.types import Drive
+from priors.types import Camera, Drive, Frame
 
 pytestmark = pytest.mark.stress
 Run = Callable[..., tuple[int, str, str]]
@@ -124,6 +127,31 @@ def test_the_shipped_table_knows_every_method_of_ours_in_each_mode() -> None:
         middle = shipped.times_ms(mode, (full["pixels"] + half["pixels"]) // 2, full["probes_ms"])
         assert all(half["ms"][name] < ms < full["ms"][name] for name, ms in middle.items())
     assert set(shipped.errors()) == names
+
+
+def test_more_disparities_take_classical_stereo_longer_and_nothing_else() -> None:
+    for mode, (full, _) in shipped.table()["modes"].items():
+        (near, far), probes = full["searched"], full["probes_ms"]
+        times = [shipped.times_ms(mode, full["pixels"], probes, share) for share in (near, (near + far) / 2, far)]
+        assert times[0] == pytest.approx(full["ms"])
+        assert times[2] == pytest.approx(full["ms"] | full["ms_far"])
+        for name in full["ms"]:
+            less, middle, more = (found[name] for found in times)
+            assert (less < middle < more) if name == "stereo" else less == middle == more
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_what_is_searched_is_the_largest_disparity(side: Literal["left", "right"]) -> None:
+    width, shift_px = 400, 24
+    texture = cv2.GaussianBlur(np.random.default_rng(1).uniform(0, 255, (96, width + shift_px)), (0, 0), 2)
+    wide = cv2.normalize(texture, None, 0, 255, cv2.NORM_MINMAX).astype(np.uint8)
+    left, right = wide[:, :width], wide[:, shift_px:]
+    image, other = (left, right) if side == "left" else (right, left)
+    camera = Camera(np.array([[300.0, 0, 200], [0, 300, 48], [0, 0, 1]]), (96, width))
+    frame = Frame("0", camera, {"image": lambda: image, "other": lambda: other}, side=side)
+    found = searched(frame)
+    assert found is not None and shift_px <= found * width <= shift_px + 8
+    assert searched(replace(frame, readers={"image": lambda: image})) is None
 
 
 def test_a_mode_that_nobody_measured_takes_the_one_most_like_it() -> None:

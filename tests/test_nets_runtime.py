@@ -239,6 +239,7 @@ def test_onnx_equals_torch(tmp_path: Path) -> None:
         Graph(path)
 
 
+@pytest.mark.networks
 @pytest.mark.skipif(not STEREO, reason="no stereo weights in priors/weights yet")
 @pytest.mark.parametrize("path", STEREO, ids=lambda path: path.stem)
 def test_runtimes_agree_on_real_pairs(path: Path, real_data: RealData) -> None:

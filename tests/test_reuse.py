@@ -15,10 +15,11 @@ from reference import carry as twin
 
 from cli.priors import PROGRAM
 from priors import build, cache, keys
-from priors.build.chains import Chains
+from priors.build.chains import VERSION, Chains
 from priors.drives import open_drive
 from priors.errors import DataError, UsageError
 from priors.kernels.carry import carry
+from priors.methods._stereo_carried import MORE_SURE, MORE_SURE_BESIDE_OUTLINE, Merged
 from priors.methods.lidar import Lidar
 from priors.methods.stereo import Stereo
 from priors.naming import labels
@@ -84,6 +85,23 @@ def test_values_that_are_none_spoil_nothing(value: float) -> None:
     disparity_px[3, 4] = value
     out, _ = carry(disparity_px, np.ones_like(disparity_px), moved(z=0.1), K, FX_BASELINE)
     assert np.isfinite(out).all() and (out[:, 7:] > 0).all()
+
+
+def test_a_value_is_less_sure_beside_an_outline_and_more_where_the_pair_confirms_it() -> None:
+    near = np.zeros((20, 40), bool)
+    near[:, 20:] = True
+    disparity_px = np.where(near, 30, 10).astype(np.float32)
+    rows = np.arange(20)[:, None] * np.ones((1, 40))
+    confirmed, kept = rows >= 12, rows >= 6
+    change = Merged(disparity_px, confirmed, kept, disparity_px).more_sure
+    outline = np.abs(np.arange(40) - 19.5) < 2
+    for y in range(20):
+        for x in range(40):
+            at = int(kept[y, x]) + int(confirmed[y, x])
+            wanted = MORE_SURE_BESIDE_OUTLINE[at] if outline[x] else MORE_SURE[at]
+            assert change[y, x] == pytest.approx(wanted), (y, x)
+    assert MORE_SURE[0] < MORE_SURE[1] < 0 < MORE_SURE[2]
+    assert all(beside < away for beside, away in zip(MORE_SURE_BESIDE_OUTLINE, MORE_SURE, strict=True))
 
 
 @dataclass(frozen=True)
@@ -183,8 +201,8 @@ def test_the_key_has_it_only_where_it_is_used(drive: Drive, tmp_path: Path) -> N
         for how in ({}, {"reuse": 1}, {"reuse": 4})
     )
     assert plain == one and "reuse" not in plain
-    assert four["key"] != plain["key"] and four["reuse"] == {"frames": 4, "version": 1}
-    assert keys.key({**four, "reuse": {"frames": 3, "version": 1}}, Counting) != four["key"]
+    assert four["key"] != plain["key"] and four["reuse"] == {"frames": 4, "version": VERSION}
+    assert keys.key({**four, "reuse": {"frames": 3, "version": VERSION}}, Counting) != four["key"]
 
 
 def test_wrong_wishes_are_one_line(drive: Drive, tmp_path: Path) -> None:

@@ -63,17 +63,6 @@ def test_the_sky_is_left_open() -> None:
     assert opacity[sky[9]].mean() < 0.3 < 0.8 < opacity[~sky[9]].mean()
 
 
-def test_colours_alone_learn_too() -> None:
-    scene, settings = corridor("sparse", prior=False), config(40, start_step=2)
-    model = fields.family("splat").start(scene, settings, "cpu")
-    assert isinstance(model, SplatModel)
-    before = psnr(model, scene, scene.train[0])
-    for step in range(40):
-        result = model.train(scene, settings, step, step / 40)
-    assert set(result.terms) == {"rgb"}
-    assert psnr(model, scene, scene.train[0]) > before + 1
-
-
 def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Killed before, between and after looks that change how many Gaussians there are."""
     monkeypatch.setattr(growth, "EVERY", 5)

@@ -7,14 +7,14 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_nerf_fit import SIZE, corridor
+from test_nerf_fit import corridor
 
 from nerf.gaussians.backdrop import Backdrop
 from nerf.gaussians.cover import Cover, looked_through
 from nerf.gaussians.growth import matrices
 from nerf.gaussians.look import look_at
 from nerf.gaussians.seeds import disc_axes
-from nerf.gaussians.start import start_of, usual_step
+from nerf.gaussians.start import ROOM, start_of, usual_step
 from nerf.scene import Scene
 from priors.geometry import invert
 
@@ -36,7 +36,7 @@ def thinned(scene: Scene, share: float) -> Scene:
 
 def test_discs_lie_on_the_surfaces_and_along_them() -> None:
     scene = corridor("sparse")
-    seeds = start_of(scene, 2, 10**6, 0)
+    seeds = start_of(scene, 2, 10**6)
     assert np.quantile(off_m(seeds.means_m), 0.95) < 0.1
     assert (seeds.means_m[:, 1] > -3.3).all(), "none in the sky"
     normal = matrices(torch.from_numpy(seeds.rotations)).numpy()[:, :, 2]
@@ -49,10 +49,10 @@ def test_discs_lie_on_the_surfaces_and_along_them() -> None:
 
 def test_every_surface_is_taken_once() -> None:
     scene = corridor("dense")
-    once = start_of(replace(scene, train=[5]), 2, 10**6, 0)
-    twice = start_of(replace(scene, train=[5, 5, 5]), 2, 10**6, 0)
+    once = start_of(replace(scene, train=[5]), 2, 10**6)
+    twice = start_of(replace(scene, train=[5, 5, 5]), 2, 10**6)
     assert len(twice) == len(once)
-    assert len(start_of(scene, 2, 10**6, 0)) < 6 * len(once), "18 frames that see the same walls"
+    assert len(start_of(scene, 2, 10**6)) < 6 * len(once), "18 frames that see the same walls"
 
 
 @pytest.mark.parametrize("step", [1, 3])
@@ -80,7 +80,7 @@ def test_cells_are_covered_as_the_slow_version_says(step: int) -> None:
 def test_all_that_is_no_sky_is_covered(share: float) -> None:
     scene = thinned(corridor("sparse"), share)
     cover = Cover()
-    cover.add(start_of(scene, 2, 10**6, 0).means_m)
+    cover.add(start_of(scene, 2, 10**6).means_m)
     for position in scene.train:
         look = look_at(scene, position)
         filled, _ = cover.cells(look, 6)
@@ -89,7 +89,7 @@ def test_all_that_is_no_sky_is_covered(share: float) -> None:
 
 
 def test_a_prior_with_few_values_starts_near_the_surfaces_too() -> None:
-    seeds = start_of(thinned(corridor("sparse"), 0.1), 2, 10**6, 0)
+    seeds = start_of(thinned(corridor("sparse"), 0.1), 2, 10**6)
     assert np.median(off_m(seeds.means_m)) < 0.1
 
 
@@ -102,7 +102,7 @@ def test_what_other_frames_look_through_is_left_out() -> None:
     board = np.array([[0.0, 0.2, 6.0]], np.float32)
     assert looked_through(board, others).all()
     assert not looked_through(np.array([[4.0, 0.0, 12.0]], np.float32), others).any(), "the wall"
-    seeds = start_of(replace(scene, depth_m=wrong), 2, 10**6, 0)
+    seeds = start_of(replace(scene, depth_m=wrong), 2, 10**6)
     in_the_air = (
         (np.abs(seeds.means_m[:, 0]) < 1.5) & (seeds.means_m[:, 1] < 1) & (np.abs(seeds.means_m[:, 2] - 7) < 0.5)
     )
@@ -111,22 +111,12 @@ def test_what_other_frames_look_through_is_left_out() -> None:
 
 def test_a_budget_makes_the_start_coarser() -> None:
     scene = corridor("sparse")
-    whole = start_of(scene, 1, 10**6, 0)
-    assert 0 < len(start_of(scene, 1, len(whole) // 3, 0)) <= len(whole) // 3
+    whole = start_of(scene, 1, 10**6)
+    assert 0 < len(start_of(scene, 1, len(whole) // 3)) <= len(whole) // 3
+    usual = len(start_of(scene, 2, 10**6))
+    assert len(start_of(scene, 0, int(1.1 * usual / ROOM))) == usual, "there is room for growth"
+    assert 0 < len(start_of(scene, 0, usual)) <= ROOM * usual
     assert usual_step((120, 397)) == 2 < usual_step((375, 1242)) <= 4
-
-
-def test_without_a_prior_discs_are_anywhere_but_in_the_sky() -> None:
-    scene = corridor("sparse", prior=False)
-    scene = replace(
-        scene, sky=np.repeat((np.arange(SIZE[0]) < 4)[None, :, None], 20, 0).repeat(SIZE[1], 2).astype(np.uint8)
-    )
-    one, same, other = (start_of(scene, 2, 10**6, seed) for seed in (0, 0, 1))
-    assert np.array_equal(one.means_m, same.means_m) and not np.array_equal(one.means_m, other.means_m)
-    places = one.means_m - scene.T_world_cam[scene.train[-1], :3, 3]
-    first = places[: len(places) // len(scene.train)]
-    assert first[:, 2].min() > 2.9 and first[:, 2].max() < 151
-    assert (40 * first[:, 1] / first[:, 2] + 11.5 > 3.4).all()
 
 
 def test_values_that_are_no_depth_are_ignored() -> None:
@@ -134,7 +124,7 @@ def test_values_that_are_no_depth_are_ignored() -> None:
     assert scene.depth_m is not None
     depth_m = scene.depth_m.copy()
     depth_m[:, ::3], depth_m[:, 1::3, ::2], depth_m[:, 2::3, :4] = np.nan, np.inf, -5
-    seeds = start_of(replace(scene, depth_m=depth_m), 2, 10**6, 0)
+    seeds = start_of(replace(scene, depth_m=depth_m), 2, 10**6)
     assert all(np.isfinite(part).all() for part in (seeds.means_m, seeds.log_scales, seeds.rotations, seeds.rgb))
     assert np.median(off_m(seeds.means_m)) < 0.1
 

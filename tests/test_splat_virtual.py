@@ -16,8 +16,9 @@ from test_splat_fit import config, psnr
 from nerf import checkpoint, fields
 from nerf.config import FitConfig
 from nerf.fit import fit
+from nerf.gaussians import field_first, virtual
 from nerf.gaussians import model as model_of_splats
-from nerf.gaussians import virtual
+from nerf.gaussians.field_first import FieldFirst
 from nerf.gaussians.model import SplatModel
 from nerf.gaussians.shot import Shot
 from nerf.gaussians.virtual import PARTS, VirtualViews, is_virtual, pose_between, ways
@@ -132,9 +133,13 @@ def test_held_out_views_gain_by_them() -> None:
 
 
 @pytest.mark.usefixtures("at_once")
-def test_there_are_none_without_a_prior_or_a_second_frame() -> None:
-    scene = corridor("4", prior=False)
-    assert trained(scene, 0.5, 2)._virtual is None
+def test_there_are_none_without_a_prior_or_a_second_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(field_first, "SHARE", 0.0)
+    scene, settings = corridor("4", prior=False), config(2)
+    model = fields.family("splat").start(scene, settings, "cpu")
+    for step in range(2):
+        model.train(scene, settings, step, step / 2)
+    assert isinstance(model, FieldFirst) and isinstance(model.part, SplatModel) and model.part._virtual is None
     assert trained(replace(corridor("4"), train=[3]), 0.5, 2)._virtual is None
 
 
@@ -162,8 +167,9 @@ def test_a_run_of_before_goes_on_without_them(tmp_path: Any) -> None:
     from priors.records import record, restore
 
     told = record(config(4))
-    del told["model"]["gaussians"]["virtual_views"]
-    assert restore(FitConfig, told).model.gaussians.virtual_views == 0
+    del told["model"]["gaussians"]["virtual_views"], told["model"]["gaussians"]["appearance"]
+    before = restore(FitConfig, told).model.gaussians
+    assert before.virtual_views == 0 and not before.appearance
     fit(corridor("4"), restore(FitConfig, told), tmp_path)
     assert checkpoint.open_model(tmp_path) is not None
 

@@ -27,6 +27,7 @@ from nerf.space import Space
 from nerf.twin import field as twin_field
 from nerf.twin import render as twin_render
 from nerf.types import Gradients, GridConfig, Histogram, Layers, Rays, Rendered, Samples, Target
+from tests.reference.triton_calls import hasten
 from tests.reference.triton_halves import mend
 from tests.test_nerf_render import FIELDS, make
 
@@ -34,6 +35,7 @@ INTERPRETED = os.environ.get("TRITON_INTERPRET") == "1"
 DEVICE = torch.device("cpu" if INTERPRETED else "cuda")
 if INTERPRETED:
     mend()
+    hasten()
 PACKAGE = str(Path(nerf.__file__).parent)
 COUNTS = [[5, 3, 0, 17, 1], [0, 0], [3] * 70, [50, 2, 25]]
 

@@ -1,5 +1,5 @@
 """Gaussian splatting (Kerbl et al., SIGGRAPH 2023) that starts where the prior ends: nerf/gaussians."""
 
-from nerf.gaussians.model import SplatFamily
+from nerf.gaussians.family import SplatFamily
 
 FAMILY = SplatFamily()

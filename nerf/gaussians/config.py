@@ -1,5 +1,6 @@
 """Settings of a field of Gaussians: how it starts, what it minimises beside the shared losses, how it grows."""
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, ClassVar
@@ -27,12 +28,20 @@ class GaussianConfig:
     virtual_views: float = 0.5
     """Share of the steps that learn from a view between two distant training frames, as the warp shows it, once each
     frame was drawn eight times; 0: none."""
+    normal_weight: float = 0.0
+    """Weight of the loss that lays Gaussians along the surface that the rendered depth shows; 0: none."""
+    robust: bool = False
+    """Leave out pixels of a training frame that the other frames contradict: what drives or walks."""
+    appearance: bool = True
+    """Learn an affine change of colour for each training frame: exposure and white balance differ."""
 
-    BEFORE: ClassVar[Mapping[str, Any]] = {"virtual_views": 0.0}
+    BEFORE: ClassVar[Mapping[str, Any]] = {"virtual_views": 0.0, "appearance": False}
 
     def __post_init__(self) -> None:
         expect_between(1, self.most_gaussians, MOST, "--most-gaussians")
         expect_between(0, self.start_step, 64, "--start-step")
         expect_between(0, self.degree, 3, "--degree")
         expect(0 <= self.dssim <= 1, "--dssim", self.dssim, "a share from 0 to 1")
+        weight = self.normal_weight
+        expect(0 <= weight < math.inf, "--normal-weight", weight, "0 or more")
         expect(0 <= self.virtual_views < 1, "--virtual-views", self.virtual_views, "a share from 0 to below 1")

@@ -45,6 +45,12 @@ class ViewLosses:
         self.terms[name] = value
         self.total = self.total + weight * value
 
+    def pull_depth(self, seen: Rasterised, d_depth: Tensor) -> None:
+        """Add the derivatives by what the expected depth is made of, from those by itself, (h, w)."""
+        whole = seen.opacity.clamp(min=OPACITY_FLOOR)
+        self.d_depth_sum += d_depth / whole
+        self.d_opacity -= torch.where(seen.opacity > OPACITY_FLOOR, d_depth * seen.depth_sum / (whole * whole), 0.0)
+
     def gradients(self, d_rgb: Tensor) -> ViewGradients:
         """Return what the rasteriser's way back takes."""
         return ViewGradients(d_rgb, self.d_depth_sum, self.d_opacity, self.made, self.d_weights, self.d_tau)
@@ -76,15 +82,8 @@ def _by_pixel(rules: LossConfig, shot: Shot, seen: Rasterised, out: ViewLosses) 
     off = torch.where(shot.weight > 0, seen.depth_m(OPACITY_FLOOR) - shot.depth_m, 0.0) / rules.unit_m
     values, slope = (off.abs(), off.sign()) if rules.loss == "l1" else (off * off, 2 * off)
     share = _share(rules, shot.weight.flatten(), values.flatten()).view_as(values)
-    _pull_depth(out, seen, DEPTH_SHARE * rules.depth_weight / rules.unit_m * share * slope)
+    out.pull_depth(seen, DEPTH_SHARE * rules.depth_weight / rules.unit_m * share * slope)
     return (share * values).sum()
-
-
-def _pull_depth(out: ViewLosses, seen: Rasterised, d_depth: Tensor) -> None:
-    """Add the derivatives by what the expected depth is made of, from those by itself, (h, w)."""
-    whole = seen.opacity.clamp(min=OPACITY_FLOOR)
-    out.d_depth_sum += d_depth / whole
-    out.d_opacity -= torch.where(seen.opacity > OPACITY_FLOOR, d_depth * seen.depth_sum / (whole * whole), 0.0)
 
 
 def _share(rules: LossConfig, weight: Tensor, values: Tensor) -> Tensor:
@@ -130,22 +129,22 @@ def _by_ray(rules: LossConfig, shot: Shot, seen: Rasterised, out: ViewLosses, dr
         out.d_weights = gradient[:count]
         d_depth = torch.zeros_like(seen.opacity).flatten()
         d_depth[pixels] = scale * 2 * off / rules.unit_m
-        _pull_depth(out, seen, d_depth.view_as(seen.opacity))
+        out.pull_depth(seen, d_depth.view_as(seen.opacity))
     return (share * values).sum()
 
 
 def intervals(made: Contributions) -> Samples:
     """Return the stretches of the rays, in metres of depth, that single Gaussians stand for, padded."""
     t, count = made.depths_m, len(made.depths_m)
-    first, last = torch.zeros(count, dtype=torch.bool), torch.zeros(count, dtype=torch.bool)
+    first, last = (torch.zeros(count, dtype=torch.bool, device=t.device) for _ in range(2))
     starts, ends = made.offsets[:-1], made.offsets[1:]
     held = ends > starts
     first[starts[held]], last[ends[held] - 1] = True, True
     middle = (t[1:] + t[:-1]) / 2
     low = torch.cat([t[:1] * 0, middle])
     high = torch.cat([middle, t[-1:]])
-    low = torch.where(first.to(t.device), 0.0, low)
-    high = torch.where(last.to(t.device), t.clamp(min=0) + FARTHEST_M, high)
+    low = torch.where(first, 0.0, low)
+    high = torch.where(last, t.clamp(min=0) + FARTHEST_M, high)
     length = (high - low).clamp(min=LEAST_M)
     ray = torch.repeat_interleave(torch.arange(len(starts), device=t.device), ends - starts).int()
     padding = padded_count(count) - count

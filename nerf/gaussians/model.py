@@ -4,21 +4,20 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
-from nerf.gaussians import growth
+from nerf.gaussians import growth, movers, normals
+from nerf.gaussians.appearance import Appearance, changed, unchanged
 from nerf.gaussians.backdrop import TRAINED, Backdrop
 from nerf.gaussians.config import GaussianConfig
 from nerf.gaussians.growth import Growth
-from nerf.gaussians.losses import geometry_losses
+from nerf.gaussians.losses import ViewLosses, geometry_losses
+from nerf.gaussians.normals import Consistency
 from nerf.gaussians.rates import rates_at
-from nerf.gaussians.seeds import Seeds
 from nerf.gaussians.shell import shell_of
 from nerf.gaussians.shot import Shot, position_at, shot_of
-from nerf.gaussians.start import start_of
 from nerf.gaussians.types import Drawing, Gaussians, Rasterised, SplatMoments, Viewpoint
 from nerf.gaussians.virtual import VirtualViews, is_virtual
 from nerf.kernels import kernels_for
@@ -31,8 +30,6 @@ from nerf.types import OPACITY_FLOOR, RenderedView
 from priors.machine import threads
 from priors.types import Camera, Matrix
 
-OPACITY = 0.8
-"""Of the discs at the start."""
 CAP_M = 200.0
 """Depth counts as at most so much in the mean of a pixel."""
 LEAST_SIDE_PX = 11
@@ -41,45 +38,6 @@ LAPS = 8
 """Each training frame is learned from so many times before virtual views are: what they gain comes later."""
 ENDING = 0.8
 """From this share of the budget on only training frames are learned from: what the warp shows is softer than they."""
-Y0 = 0.28209479177387814
-"""The spherical harmonic of degree 0."""
-
-
-class SplatFamily:
-    """A nerf.model.Family."""
-
-    unread = ("model.width", "model.sampler", "losses.distortion")
-
-    def start(self, scene: Scene, config: FitConfig, device: str) -> "SplatModel":
-        """Make a model of a scene from its prior; without one, of a few discs at random depths."""
-        settings = config.model.gaussians
-        with threads.quiet():
-            seeds = start_of(scene, settings.start_step, settings.most_gaussians, config.seed)
-            model = SplatModel(config.model, *_planted(seeds, settings.degree, torch.device(device)))
-            model.backdrop.paint(scene)
-        return model
-
-    def go_on(self, scene: Scene, config: FitConfig, record: dict[str, Any], device: str) -> "SplatModel":
-        """Make a model that is ready to load a checkpoint."""
-        return SplatModel(
-            config.model, *_planted(Seeds.joined([]), config.model.gaussians.degree, torch.device(device))
-        )
-
-    def open(self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str) -> "SplatModel":
-        """Make a model again of what a checkpoint holds."""
-        model = SplatModel(config, *_planted(Seeds.joined([]), config.gaussians.degree, torch.device(device)))
-        model.load(state)
-        return model
-
-
-def _planted(seeds: Seeds, degree: int, device: torch.device) -> tuple[Gaussians, Tensor]:
-    """Return seeds as Gaussians, and the width of their cells (n,), metres."""
-    harmonics = np.zeros((len(seeds), (degree + 1) ** 2, 3), np.float32)
-    harmonics[:, 0] = (seeds.rgb - 0.5) / Y0
-    opacities = np.full(len(seeds), np.log(OPACITY / (1 - OPACITY)), np.float32)
-    parts = (seeds.means_m, seeds.log_scales, seeds.rotations, opacities, harmonics)
-    on = [torch.from_numpy(np.ascontiguousarray(part)).to(device) for part in (*parts, seeds.cell_m)]
-    return Gaussians(*on[:-1]), on[-1]
 
 
 class SplatModel:
@@ -95,6 +53,8 @@ class SplatModel:
         self._sky = Optimiser({f"sky.{name}": x for name, x in self.backdrop.sky.parameters().items()})
         self._splat = kernels_for(self.device).splat
         self._virtual: VirtualViews | None = None
+        self.appearance: Appearance | None = None
+        """What is learned of each training frame's colours; None: nothing."""
 
     @property
     def settings(self) -> GaussianConfig:
@@ -121,7 +81,7 @@ class SplatModel:
         if self._virtual is not None and is_virtual(later, share):
             return self._virtual.shot(config.seed, between)
         shot = shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
-        return replace(shot, share=1 - share)
+        return replace(shot, share=1 - share, late=step >= movers.LAPS * len(scene.train))
 
     def _virtual_share(self, scene: Scene, step: int, progress: float) -> float:
         """Return which share of the steps learns from virtual views now; without a prior none does."""
@@ -141,19 +101,40 @@ class SplatModel:
         """Go back from what is seen of a frame, and move the parameters."""
         step, progress = at
         rgb = self.backdrop.behind(seen, shot.viewpoint, TRAINED)
+        change = self._change(shot.viewpoint.T_world_cam)
+        shown = rgb if change is None else changed(rgb, change)
+        if shot.late and self.settings.robust:
+            shot = shot.only(movers.counted(shown, seen.depth_m(OPACITY_FLOOR), shot))
         share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
-        colour = self._splat.colour_loss(rgb, shot.rgb, share, shot.counts)
+        colour = self._splat.colour_loss(shown, shot.rgb, share, shot.counts)
         rules = _for_fewer(config.losses, shot.share)
         losses = geometry_losses(rules, shot, seen, config.rays, (config.seed, step))
-        losses.d_opacity += self.backdrop.backward(seen, colour.d_rgb)
-        gradients = self._splat.backward(seen, losses.gradients(colour.d_rgb))
+        d_rgb = colour.d_rgb if change is None else unchanged(colour.d_rgb, change)
+        losses.d_opacity += self.backdrop.backward(seen, d_rgb)
+        normal = self._normals(shot, seen, losses, step)
+        gradients = self._splat.backward(seen, losses.gradients(d_rgb))
+        if normal is not None:
+            normal.add_to(gradients)
+        if self.appearance is not None and shot.frame is not None:
+            rate = config.optimiser.share(step + 1, progress)
+            self.appearance.learn(shot.frame, rgb, colour.d_rgb, rate)
         self.growth.observe(gradients)
         rates = rates_at(config.optimiser, step + 1, progress)
         self._splat.adam(self.gaussians, gradients, self.moments, rates, step + 1)
         self._sky.step(config.optimiser, progress)
-        terms = {"rgb": (rgb - shot.rgb).square().mean(), **losses.terms}
+        terms = {"rgb": (shown - shot.rgb).square().mean(), **losses.terms}
         total = losses.total + colour.total
         return StepResult(terms, total, shot.rgb.shape[0] * shot.rgb.shape[1], len(seen.index))
+
+    def _normals(self, shot: Shot, seen: Rasterised, losses: ViewLosses, step: int) -> Consistency | None:
+        """Add the loss of normals where one is asked for and the step's turn has come."""
+        weight = normals.EVERY * self.settings.normal_weight
+        if weight == 0 or (step + 1) % normals.EVERY:
+            return None
+        found = normals.consistency(self._splat, self.gaussians, seen, shot.viewpoint, self._drawing(), weight)
+        losses.add("normal", found.value, weight)
+        losses.pull_depth(seen, found.d_depth)
+        return found
 
     def _drawing(self, progress: float = 1.0) -> Drawing:
         """Return how a training view is drawn: the colours' degree rises."""
@@ -166,9 +147,14 @@ class SplatModel:
         viewpoint = Viewpoint(camera, T_world_cam)
         drawing = replace(self._drawing(), median=True, degree=self.settings.degree)
         seen = self._splat.rasterise(self.gaussians, viewpoint, drawing)
-        rgb = self.backdrop.behind(seen, viewpoint).clamp(0, 1)
+        rgb, change = self.backdrop.behind(seen, viewpoint), self._change(T_world_cam)
+        rgb = (rgb if change is None else changed(rgb, change)).clamp(0, 1)
         parts = (rgb, seen.depth_m(OPACITY_FLOOR), seen.median_m, seen.opacity)
         return RenderedView(*(part.cpu().numpy() for part in parts))
+
+    def _change(self, T_world_cam: Matrix) -> Tensor | None:
+        """Return how the colours of a view are changed (3, 4); None: not at all."""
+        return None if self.appearance is None else self.appearance.at(T_world_cam)
 
     def splats(self) -> Gaussians:
         """Return all that it shows as Gaussians: the sky is a shell far around the others."""
@@ -176,7 +162,10 @@ class SplatModel:
         middle_m = self.gaussians.means_m.mean(0) if len(self.gaussians) else torch.zeros(3, device=self.device)
         shell = shell_of(self.backdrop.sky, told, middle_m, self.gaussians.harmonics.shape[1])
         both = [part.tensors() for part in (self.gaussians, shell)]
-        return Gaussians(*(torch.cat([part[name] for part in both]) for name in both[0]))
+        joint = {name: torch.cat([part[name] for part in both]) for name in both[0]}
+        if self.appearance is not None:
+            joint["harmonics"] = self.appearance.usual(joint["harmonics"])
+        return Gaussians(**joint)
 
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name."""
@@ -186,6 +175,8 @@ class SplatModel:
         """Return every tensor that a checkpoint keeps, by name."""
         means = {"mean": self.moments.mean.tensors(), "square": self.moments.square.tensors()}
         own = joined({**means, "growth": self.growth.state()}) | {"unit_m": self.moments.unit_m}
+        if self.appearance is not None:
+            own |= joined({"appearance": self.appearance.state()})
         return joined({"model": self.parameters(), "splat": own, "sky": self._sky.state()})
 
     def load(self, state: dict[str, Tensor]) -> None:
@@ -198,6 +189,8 @@ class SplatModel:
         found = {name: _sized(name, own, like, count) for name, like in rest.items()}
         copy_into(self.backdrop.sky.parameters(), under("sky", model))
         self._sky.load(under("sky", state))
+        if self.settings.appearance:
+            self.appearance = Appearance.loaded(under("appearance", own), self.device)
         self.gaussians = gaussians
         self.moments = SplatMoments(mean, square, found["unit_m"])
         self.growth = Growth(found["growth.pull"], found["growth.views"])

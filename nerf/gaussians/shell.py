@@ -6,18 +6,17 @@ import torch
 from torch import Tensor
 
 from nerf.gaussians.types import Gaussians
+from nerf.harmonics import Y0
 from nerf.kernels import kernels_for
 from nerf.sky import Sky
 
-RADIUS_M = 3000.0
-"""How far away it is: the parallax of a street's length is below a pixel."""
+RADIUS_M = 1900.0
+"""How far away it is: far beyond the street, but `.spz` files hold places up to 2048 m."""
 COUNT = 40_000
 """Gaussians on a whole sphere: one a square degree."""
 WIDTH = 0.7
 """Their deviation, as a share of the distance between neighbours."""
 OPACITY = 0.99
-Y0 = 0.28209479177387814
-"""The spherical harmonic of degree 0."""
 LEAST_TOLD = 1e-4
 """Share of the largest pull at a texel from which on a direction was seen."""
 

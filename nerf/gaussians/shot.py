@@ -1,6 +1,6 @@
 """Shot: a training frame as a step sees it, a whole image with what is known of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -32,8 +32,16 @@ class Shot:
     """(h, w) 1 where the image shows sky; None: nobody knows."""
     counts: Tensor | None = None
     """(h, w) how much a pixel's colour counts; None: all alike."""
+    frame: int | None = None
+    """Its number among the training frames; None: a virtual view."""
     share: float = 1.0
     """Share of the steps that know what this one knows of depth and sky."""
+    late: bool = False
+    """Whether it is a frame that was learned from often enough to tell what of it the others contradict."""
+
+    def only(self, counts: Tensor) -> "Shot":
+        """Return the view with pixels (h, w) that count so much, in colour and in depth."""
+        return replace(self, counts=counts, weight=None if self.weight is None else self.weight * counts)
 
 
 def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device) -> Shot:
@@ -43,7 +51,8 @@ def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device
     trust = None if scene.weight is None else _on(device, scene.weight[position]) / 255
     sky = None if scene.sky is None else _on(device, scene.sky[position])
     weight = prior_weight(rules, Rays(rgb, rgb, depth_m=depth_m, weight=trust))
-    return Shot(position, Viewpoint(scene.camera, scene.T_world_cam[position]), rgb, depth_m, weight, sky)
+    viewpoint = Viewpoint(scene.camera, scene.T_world_cam[position])
+    return Shot(position, viewpoint, rgb, depth_m, weight, sky, frame=scene.train.index(position))
 
 
 def position_at(train: list[int], seed: int, step: int) -> int:

@@ -3,13 +3,13 @@
 Frames are gone through from the last to the first: a car that drives forward sees each surface finest just before it
 leaves the view. Of each frame's cells those become discs that nothing taken so far covers, and that the neighbouring
 frames do not look through: first where the prior is sure, then wherever it has a value or one is near. What is still
-empty gets a coarse layer, at a depth that is filled in from around. Without a prior, every frame gets a few discs at
-random depths.
+empty gets a coarse layer, at a depth that is filled in from around. Without a prior, a hash field shows the depth
+(nerf/gaussians/field_first.py).
 """
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from nerf.gaussians.cover import Cover, looked_through
 from nerf.gaussians.look import Look, look_at
-from nerf.gaussians.seeds import WIDTH, Lattice, Seeds
+from nerf.gaussians.seeds import Lattice, Seeds
 from nerf.scene import Scene
 from nerf.warp.frames import unlike_m
 
@@ -33,10 +33,11 @@ CELLS = 30_000
 """Cells of a frame, about, where nobody says how fine the start is."""
 LEAST_STEP = 2
 """The finest start that nobody asked for: twice as many Gaussians cost more time than they give."""
+ROOM = 0.6
+"""Where nobody says how fine the start is, it takes this share of the Gaussians there may be at most: the rest is for
+what the images ask for."""
 COARSE = 3
 """A cell of the coarse layer is so many times as wide."""
-RANDOM_STEP, NEAREST_M, RANDOM_FARTHEST_M = 4, 3.0, 150.0
-"""Without a prior: how much wider cells are, and between which depths discs lie, evenly in 1 / depth."""
 
 
 def usual_step(size: tuple[int, int]) -> int:
@@ -44,18 +45,18 @@ def usual_step(size: tuple[int, int]) -> int:
     return max(LEAST_STEP, int(np.ceil(np.sqrt(size[0] * size[1] / CELLS))))
 
 
-def start_of(scene: Scene, step: int, most: int, seed: int) -> Seeds:
+def start_of(scene: Scene, step: int, most: int) -> Seeds:
     """Make the seeds of a scene.
 
     Args:
-        scene: its training frames, with a prior or without.
+        scene: its training frames, with a prior.
         step: every so many-th pixel along rows and columns is a candidate; 0: as the images' size and `most` allow.
         most: how many seeds there may be; where `step` gives more, it is raised.
-        seed: decides random depths where there is no prior.
     """
+    most = most if step else int(ROOM * most)
     step = step or usual_step(scene.camera.size)
     while True:
-        seeds = _Start(scene, step, seed).seeds()
+        seeds = _Start(scene, step).seeds()
         if len(seeds) <= most:
             return seeds
         step += max(1, int(step * (np.sqrt(len(seeds) / most) - 1)))
@@ -67,15 +68,12 @@ class _Start:
 
     scene: Scene
     step: int
-    seed: int
     cover: Cover = field(default_factory=Cover)
     _looks: OrderedDict[int, Look] = field(default_factory=OrderedDict)
 
     def seeds(self) -> Seeds:
         """Go through the frames, pass by pass."""
         last_first = self.scene.train[::-1]
-        if self.scene.depth_m is None:
-            return Seeds.joined([self._random(position) for position in last_first])
         sure = [self._surface(position, lambda at: at.trust >= SURE) for position in last_first]
         guessed = [self._surface(position, lambda at: at.trust > 0) for position in last_first]
         return Seeds.joined([*sure, *guessed, *[self._coarse(position) for position in last_first]])
@@ -95,15 +93,6 @@ class _Start:
         look, step = self._look(position), COARSE * self.step
         at = Lattice(look, step)
         return self._taken(at.seeds(*np.nonzero(~at.sky & ~self.cover.cells(look, step)[0])))
-
-    def _random(self, position: int) -> Seeds:
-        """Take discs at random depths, where a frame shows no sky."""
-        look, step = self._look(position), RANDOM_STEP * self.step
-        random = np.random.default_rng([self.seed, position])
-        inverse = random.uniform(1 / RANDOM_FARTHEST_M, 1 / NEAREST_M, look.depth_m.shape)
-        at = Lattice(replace(look, depth_m=(1 / inverse).astype(np.float32)), step)
-        seeds = at.seeds(*np.nonzero(~at.sky))
-        return replace(seeds, log_scales=np.repeat(np.log(WIDTH * seeds.cell_m)[:, None], 3, axis=1))
 
     def _taken(self, seeds: Seeds) -> Seeds:
         self.cover.add(seeds.means_m)

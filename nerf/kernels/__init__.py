@@ -197,8 +197,8 @@ def cpu_kernels() -> Kernels:
 @functools.cache
 def triton_kernels() -> Kernels:
     """Return what Triton compiles for a GPU; the sampler is the plain one."""
-    from nerf.kernels.plain import sample, splat
-    from nerf.kernels.triton import field, render
+    from nerf.kernels.plain import sample
+    from nerf.kernels.triton import field, render, splat
 
     return Kernels(field, render, sample, splat)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from priors import methods
-from priors.bench import shipped
+from priors.bench import searched, shipped
 from priors.bench.entrants import AUTO, Entrant, field_size
 from priors.bench.probe import calibrate
 from priors.bench.results import Bench, Standing, measured, of_drive
@@ -67,7 +67,7 @@ def candidates(drive: Drive, frame: Frame, cache: Path) -> list[Candidate]:
     bench = of_drive(cache / drive.name, drive.fingerprint())
     found = [] if bench is None else _measured(bench)
     if not found:
-        found = _predicted(frame)
+        found = _predicted(drive, frame)
     return sorted((each for each in found if _lacks(each, frame) is None), key=lambda each: each.seconds)
 
 
@@ -87,10 +87,11 @@ def _candidate(standing: Standing) -> Candidate:
     return Candidate(standing.name, method, standing.seconds, error, density, OWN)
 
 
-def _predicted(frame: Frame) -> list[Candidate]:
-    """Return those of the shipped table, for this image's size and this machine."""
+def _predicted(drive: Drive, frame: Frame) -> list[Candidate]:
+    """Return those of the shipped table, for this image's size, the drive's disparities and this machine."""
     height, width = frame.camera.size
-    times_ms, errors = shipped.times_ms(cpu.mode(), height * width, calibrate()), shipped.errors()
+    times_ms = shipped.times_ms(cpu.mode(), height * width, calibrate(), searched.usual(drive))
+    errors = shipped.errors()
     if frame.has("sparse"):  # the table's completion fills what the lidar method makes; here that is there already
         times_ms |= {name: ms - times_ms["lidar"] for name, ms in times_ms.items() if name.startswith("completion")}
     return [

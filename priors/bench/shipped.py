@@ -2,8 +2,9 @@
 
     python tests/bench/bench_shipped.py --write        measures it: shipped.json
 
-Its times are processor time of one thread, and are scaled twice. From two sizes of image to a third: by a power law
-through both. From that machine to this one: by the probes (probe.py), of the same kind of CPU. Errors are of
+Its times are processor time of one thread, and are scaled three times. By how far stereo must search: along a line
+through two frames (searched.py). From two sizes of image to a third: by a power law through both. From that machine to
+this one: by the probes (probe.py), of the same kind of CPU. Errors are of
 procedural streets: they rank, and a drive of yours has others.
 """
 
@@ -36,17 +37,20 @@ def modes_like(mode: Mode) -> list[Mode]:
     return sorted((each for each in order if each in table()["modes"]), key=lambda each: abs(order.index(each) - place))
 
 
-def times_ms(mode: Mode, pixels: int, probes_ms: Mapping[Kind, float]) -> dict[str, float]:
+def times_ms(
+    mode: Mode, pixels: int, probes_ms: Mapping[Kind, float], searched: float | None = None
+) -> dict[str, float]:
     """Predict what a frame takes here by each entrant, ms.
 
     Args:
         mode: of this machine's CPU.
         pixels: of an image.
         probes_ms: what `calibrate` measured here.
+        searched: the largest disparity as a share of the image's width; None: that of the table's frame.
     """
     full, half = table()["modes"][modes_like(mode)[0]]
     return {
-        name: _at(pixels, (full["pixels"], full["ms"][name]), (half["pixels"], half["ms"][name]))
+        name: _at(pixels, (full["pixels"], _ms(full, name, searched)), (half["pixels"], _ms(half, name, searched)))
         * _slower(name, probes_ms, full["probes_ms"])
         for name in full["ms"]
         if name in half["ms"]
@@ -57,6 +61,16 @@ def errors() -> dict[str, dict[str, float]]:
     """Return each entrant's AbsRel, density and density_image on procedural streets."""
     found: dict[str, dict[str, float]] = table()["errors"]
     return found
+
+
+def _ms(at: Mapping[str, Any], name: str, searched: float | None) -> float:
+    """Interpolate an entrant's time at one size between a frame of few disparities and one of many."""
+    near, far = at["searched"]
+    ms = float(at["ms"][name])
+    if searched is None or name not in at["ms_far"]:
+        return ms
+    slope = (at["ms_far"][name] - ms) / (far - near)
+    return max(0.5 * ms, ms + slope * (searched - near))
 
 
 def _at(pixels: int, full: tuple[int, float], half: tuple[int, float]) -> float:

@@ -14,7 +14,7 @@ from priors.errors import UsageError, expect_between
 from priors.selection import parse_shard
 from priors.types import Drive, Frame, Method
 
-VERSION = 1
+VERSION = 2
 """Raised when carried maps change: part of the key."""
 MOST = 100
 """Longest chain."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.special import expit
 
 from priors.codecs import as_grey
 from priors.geometry import invert
@@ -16,7 +17,7 @@ from priors.pairs.matching import half_match, halve
 from priors.pairs.read import Pair
 from priors.pairs.rectification import RectificationError
 from priors.pairs.smoothing import diffuse
-from priors.recalibration import CLASSICAL_STEREO, Recalibration
+from priors.recalibration import CLASSICAL_STEREO, Recalibration, log_odds
 from priors.types import Depth, Earlier, FloatMap, Frame, Mask, Matrix
 
 AGREE_PX, AGREE_SHARE = 2.0, 0.03
@@ -26,6 +27,12 @@ LEAST_AGREEMENT = 0.5
 """Where a smaller share of the compared pixels agrees, poses or scene are not what they should be: nothing is kept."""
 LEAST_SEEN = 0.3
 """Where fewer of the carried pixels can be compared, the check says too little."""
+OUTLINE_WINDOW, OUTLINE_PX = 5, 3.0
+"""A pixel lies beside an outline where the disparities in a window about it, pixels, differ by more."""
+MORE_SURE = (-0.35, -0.2, 0.2)
+MORE_SURE_BESIDE_OUTLINE = (-1.4, -0.8, 0.0)
+"""Log-odds, of values that were filled in, were kept unseen, and were confirmed: how much oftener they are within 1 m
+than they say, on drive 0009 and a street. A kept one says so again in each frame of a chain."""
 FARTHEST_MOVE_M, LARGEST_TURN_RAD = 5.0, 0.2
 """Beyond such a step too little is seen in both frames, or the path breaks there."""
 
@@ -42,6 +49,15 @@ class Merged:
     """Where the carried value stays: confirmed, or nothing was matched there."""
     evidence: FloatMap
     """Share of matches in what was averaged, [0, 1]."""
+
+    @property
+    def more_sure(self) -> FloatMap:
+        """What the log-odds of a value's confidence change by (height, width)."""
+        window = np.ones((OUTLINE_WINDOW, OUTLINE_WINDOW), np.uint8)
+        spread_px = cv2.morphologyEx(self.disparity_px.astype(np.float32), cv2.MORPH_GRADIENT, window)
+        more_sure = np.array([MORE_SURE, MORE_SURE_BESIDE_OUTLINE], np.float32)
+        beside_outline = (spread_px > OUTLINE_PX).astype(np.uint8)
+        return np.asarray(more_sure[beside_outline, self.kept.astype(np.uint8) + self.confirmed])
 
 
 def carry_on(frame: Frame, pair: Pair, before: Earlier, error: RectificationError, fx_baseline: float) -> Depth | None:
@@ -65,6 +81,7 @@ def carry_on(frame: Frame, pair: Pair, before: Earlier, error: RectificationErro
     fresh = Recalibration.of(CLASSICAL_STEREO).own(stated)
     trust = pair.restore(trust)
     trust = np.where(merged.confirmed, trust, np.where(merged.kept, np.minimum(trust, fresh), fresh))
+    trust = expit(log_odds(trust) + merged.more_sure)
     has_value = merged.disparity_px > 0
     depth_m = np.where(has_value, np.float32(fx_baseline) / np.where(has_value, merged.disparity_px, 1), 0)
     return Depth(*(pair.restore(part.astype(np.float32)) for part in (depth_m, np.where(has_value, trust, 0))))

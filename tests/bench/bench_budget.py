@@ -15,6 +15,7 @@ import numpy as np
 
 from priors.bench import entrants, shipped
 from priors.bench.probe import KINDS, work
+from priors.bench.searched import usual
 from priors.drives import open_drive
 from priors.errors import DataError
 from priors.machine import cpu, threads
@@ -46,9 +47,9 @@ def compare(path: Path, pairs: int) -> None:
         except DataError as error:
             print(f"without {entrant.name}: {error}")
     for number in range(pairs):
-        frame = drive[number % len(drive)]
+        frame = drive[number * len(drive) // pairs]
         probes = {kind: min(clock(work(kind)) for _ in range(3)) for kind in KINDS}
-        predicted = shipped.times_ms(cpu.mode(), height * width, probes)
+        predicted = shipped.times_ms(cpu.mode(), height * width, probes, usual(drive))
         if frame.has("sparse"):  # as priors.bench.candidates has it
             predicted |= {name: ms - predicted["lidar"] for name, ms in predicted.items() if "completion" in name}
         for name, method in methods.items():

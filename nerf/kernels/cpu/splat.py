@@ -19,7 +19,6 @@ import torch
 from torch import Tensor
 
 from nerf.gaussians.types import (
-    SIDE_REACH,
     SIZES,
     Contributions,
     Drawing,
@@ -34,11 +33,11 @@ from nerf.kernels.cpu.splat_blend import Picture, Rules
 from nerf.kernels.cpu.splat_pixels import Packed
 from nerf.kernels.cpu.splat_project import CHUNK, RECORD, REGION, Lists, Scene, View
 from nerf.kernels.cpu.splat_region import TILES, Regions, Scratch
-from nerf.kernels.cpu.splat_shape import Lens
 from nerf.kernels.cpu.splat_train import adam as adam
 from nerf.kernels.cpu.splat_train import colour_loss as colour_loss
 from nerf.kernels.cpu.splat_unblend import Wanted
 from nerf.kernels.cpu.splat_unproject import Derivatives
+from nerf.kernels.lens import Lens, lens_of
 from priors.machine import threads
 
 
@@ -130,18 +129,6 @@ def contributions(rasterised: Rasterised, pixels: Tensor) -> Contributions:
     gaussian = torch.from_numpy(kept.view.gaussian[made.rows].astype(np.int64))
     alphas, weights, depths_m = (torch.from_numpy(x) for x in (made.alphas, made.weights, made.depths_m))
     return Contributions(pixels, torch.from_numpy(offsets), gaussian, alphas, weights, depths_m, made)
-
-
-def lens_of(viewpoint: Viewpoint, drawing: Drawing) -> Lens:
-    """Return a camera as the kernels read it."""
-    camera, T = viewpoint.camera, np.asarray(viewpoint.T_world_cam, np.float64)
-    (fx, fy), (cx, cy), (h, w) = camera.K[[0, 1], [0, 1]], camera.K[:2, 2], camera.size
-    side_x, side_y = (SIDE_REACH - 1) * 0.5 * w / fx, (SIDE_REACH - 1) * 0.5 * h / fy
-    reaches = (-cx / fx - side_x, (w - cx) / fx + side_x), (-cy / fy - side_y, (h - cy) / fy + side_y)
-    numbers = drawing.low_pass_px2, drawing.least_alpha, drawing.near_m, drawing.cap_m
-    values: Any = [*T[:3, :3].T, T[:3, 3], (fx, fy), (cx, cy), *reaches, *numbers]
-    values = [np.float32(x) if np.ndim(x) == 0 else tuple(np.float32(y) for y in x) for x in values]
-    return Lens._make([*values, drawing.compensate, (h, w)])
 
 
 def _scene(gaussians: Gaussians, degree: int) -> Scene:

@@ -25,7 +25,6 @@ from nerf.kernels.cpu.lanes import (
 from nerf.kernels.cpu.splat_colour import direction, shade, zero
 from nerf.kernels.cpu.splat_lanes import binary_logarithm, lanes, picked, which
 from nerf.kernels.cpu.splat_shape import (
-    Lens,
     covariance,
     logistic,
     pick,
@@ -37,6 +36,7 @@ from nerf.kernels.cpu.splat_shape import (
     slopes,
     turned,
 )
+from nerf.kernels.lens import Lens
 from nerf.twin.splat import BOX_MARGIN_PX
 from priors.machine.compiled import compiled
 

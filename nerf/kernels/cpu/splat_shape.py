@@ -4,7 +4,6 @@ Equals nerf/twin/splat.py, `project`. Vectors and matrices are tuples of lanes, 
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,30 +13,6 @@ from nerf.kernels.cpu.splat_lanes import kept, picked
 from priors.machine.compiled import compiled
 
 LOG_MOST_M = math.log(MOST_M)
-
-
-class Lens(NamedTuple):
-    """A camera and how it draws, as the kernels read it; float32."""
-
-    right: tuple[np.float32, np.float32, np.float32]
-    """The camera's x axis in the scene's frame: the first row of R_cam_world."""
-    down: tuple[np.float32, np.float32, np.float32]
-    ahead: tuple[np.float32, np.float32, np.float32]
-    centre_m: tuple[np.float32, np.float32, np.float32]
-    focal: tuple[np.float32, np.float32]
-    """fx and fy, pixels."""
-    middle: tuple[np.float32, np.float32]
-    """cx and cy, pixels."""
-    reach_x: tuple[np.float32, np.float32]
-    """Least and most x / z of a shape: SIDE_REACH."""
-    reach_y: tuple[np.float32, np.float32]
-    low_pass_px2: np.float32
-    least_alpha: np.float32
-    near_m: np.float32
-    cap_m: np.float32
-    compensate: bool
-    size: tuple[int, int]
-    """(height, width), pixels."""
 
 
 @compiled

@@ -13,7 +13,6 @@ from nerf.kernels.cpu.splat_colour import direction, unshade, zero
 from nerf.kernels.cpu.splat_lanes import kept, lanes, picked, store_some
 from nerf.kernels.cpu.splat_project import CHUNK, LEAST_DET, RECORD, RED, Lists, Numbers, Scene, View
 from nerf.kernels.cpu.splat_shape import (
-    Lens,
     constants,
     covariance,
     cross,
@@ -34,6 +33,7 @@ from nerf.kernels.cpu.splat_shape import (
     unheld,
 )
 from nerf.kernels.cpu.splat_unblend import D_DEPTH, D_RED, GX, GXX, GXY, GY, GYY, G
+from nerf.kernels.lens import Lens
 from priors.machine.compiled import compiled
 
 

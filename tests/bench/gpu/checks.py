@@ -1,4 +1,7 @@
-"""tests/triton_checks.py, on the GPU or in Triton's interpreter; every test is noted when it ends."""
+"""tests/triton_checks.py and triton_splat_checks.py, on the GPU or in Triton's interpreter.
+
+Every test is noted when it ends.
+"""
 
 import os
 import time
@@ -7,7 +10,7 @@ from pathlib import Path
 
 from tests.bench.gpu.parts import note
 
-CHECKS = Path(__file__).resolve().parents[2] / "triton_checks.py"
+CHECKS = [Path(__file__).resolve().parents[2] / name for name in ("triton_checks.py", "triton_splat_checks.py")]
 FEW = "adam or stay_on_their_device or (test_encoding and points)"
 """For a rehearsal: the interpreter is slow."""
 
@@ -43,7 +46,7 @@ def run(options: Namespace) -> None:
     import pytest
 
     note(where="Triton's interpreter" if options.device == "cpu" else "GPU")
-    arguments = ["-q", "-p", "no:cacheprovider", "--tb=short", str(CHECKS)]
+    arguments = ["-q", "-p", "no:cacheprovider", "--tb=short", *map(str, CHECKS)]
     if options.device == "cpu" and options.scale < 1:
         note(left_out=f"all but `{FEW}`: the budget is short")
         arguments += ["-k", FEW]
