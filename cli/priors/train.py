@@ -30,6 +30,7 @@ examples:
   priors train pack runs/cfnet-s cfnet-s.safetensors    what `--stereo.weights` takes
   priors train calibrate cfnet-s.safetensors --street samples/    stereo's confidence, from what training held back
   priors train calibrate mffnet-s.safetensors --street samples/ --real DATA    up to which density completion counts
+  priors train surfaces cfnet-s.safetensors --street samples/ --real DATA    stereo's surface where it is unsure
 
 --help after any of these tells the rest"""
 
@@ -103,6 +104,20 @@ class CalibrateArguments:
 
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """Weights of a stereo or completion network; their header is rewritten."""
+    street: Path = Path("samples")
+    """Folder of `priors train samples`."""
+    real: Path | None = None
+    """Real data, as in training."""
+    cache: Path | None = None
+    """Where prepared real data is kept, as in training."""
+
+
+@dataclass(frozen=True)
+class SurfacesArguments:
+    """Arguments of `priors train surfaces`."""
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """Weights of a stereo network, calibrated; their header is rewritten."""
     street: Path = Path("samples")
     """Folder of `priors train samples`."""
     real: Path | None = None
@@ -215,6 +230,21 @@ def calibrate(args: CalibrateArguments) -> None:
         out.print(line)
 
 
+def fit_surfaces(args: SurfacesArguments) -> None:
+    """Fit which of the surfaces around a pixel a stereo network chooses where it is unsure."""
+    from priors.learn import surface_fit
+    from priors.learn.stereo_data import Folders
+    from priors.nets import weights
+
+    net = weights.read_about(args.file).get("net")
+    if net not in STEREO:
+        raise DataError(f"{args.file}: of {net}, which does not match: a stereo network chooses among surfaces")
+    with busy("fitting the choice of surfaces"):
+        lines = surface_fit.fit_file(args.file, Folders(args.street, args.real, args.cache))
+    for line in lines:
+        out.print(line)
+
+
 STEREO = ("cfnet", "pcwnet")
 """Networks whose confidence is calibrated."""
 KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
@@ -224,6 +254,7 @@ KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
     "mono": (RunArguments, lambda args: train_network(args, mono_task, "bts")),
     "pack": (PackArguments, pack),
     "calibrate": (CalibrateArguments, calibrate),
+    "surfaces": (SurfacesArguments, fit_surfaces),
 }
 """What follows `priors train`: its arguments and what it does."""
 ARGUMENTS = {f"priors train {name}": kind for name, (kind, _) in KINDS.items()}

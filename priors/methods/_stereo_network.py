@@ -15,7 +15,8 @@ from priors.methods._network import Network
 from priors.nets import runtime, weights
 from priors.nets.confidence import ConfidenceCalibration
 from priors.nets.export import Graph, Graphs
-from priors.types import FloatMap, Image
+from priors.nets.surface_choice import SurfaceChoice
+from priors.types import FloatMap, Image, Mask
 
 Run = Callable[[Tensor, Tensor, int], tuple[FloatMap, FloatMap, FloatMap]]
 
@@ -44,11 +45,21 @@ class NetworkMatcher:
     """What the largest disparity that a scene needs is multiplied by: networks fail near the end of their search."""
     take: Callable[[Image], Tensor] = runtime.as_bytes
     """How an image becomes what `run` takes."""
+    choice: SurfaceChoice | None = None
+    """Chooses among the surfaces around a pixel where the network is unsure."""
 
-    def __call__(self, left: Image, right: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
+    def __call__(
+        self, left: Image, right: Image, max_disparity_px: int, sky: Mask | None = None
+    ) -> tuple[FloatMap, FloatMap]:
         """Return the left view's disparity, px, 0 = none, and the probability that it is within 1 px (height, width).
 
         Of a pair that is halved, the pixel is one of the halved images.
+
+        Args:
+            left: (height, width, 3) or (height, width).
+            right: the same.
+            max_disparity_px: how far to search.
+            sky: (height, width), True where the network has the last word; None: nowhere.
         """
         shape = left.shape[:2]
         disparity_px, confidence = np.zeros((2, *shape), np.float32)
@@ -62,6 +73,9 @@ class NetworkMatcher:
         largest_px = RANGE_STEP_PX * -(-(int(max_disparity_px / scale) + 1) // RANGE_STEP_PX)
         small_px, sigma_px, doubt = self.run(self.take(small_left), self.take(small_right), largest_px)
         trust = self.calibration(small_px, sigma_px, doubt)
+        if self.choice is not None:
+            apart = None if sky is None else _as_small(sky[part], trust)
+            small_px = self.choice((small_px, sigma_px, doubt, trust), apart)
         part_px = np.maximum(small_px, np.float32(LEAST_PX)) * np.float32(scale)
         if halvings:
             size = (left.shape[1], left.shape[0])
@@ -81,19 +95,28 @@ def open_matcher(network: Network) -> NetworkMatcher:
 def _open(network: Network, path: Path, _digest: str) -> NetworkMatcher:
     if path.suffix == ".onnx":
         graph = Graph(path)
-        calibration = ConfidenceCalibration.read(graph.about)
-        return NetworkMatcher(lambda left, right, largest_px: graph(left, right), calibration, take=runtime.as_input)
+        calibration, choice = ConfidenceCalibration.read(graph.about), SurfaceChoice.read(graph.about)
+        return NetworkMatcher(
+            lambda left, right, largest_px: graph(left, right), calibration, take=runtime.as_input, choice=choice
+        )
     chosen = network.decide()
     ready = runtime.open_net(network.model, network.size, chosen, path)
     calibration, headroom = ConfidenceCalibration.read(ready.about), float(ready.about.get(HEADROOM, 1.0))
+    choice = SurfaceChoice.read(ready.about)
     if chosen == "onnx":
-        return NetworkMatcher(Graphs(ready), calibration, headroom, runtime.as_input)
+        return NetworkMatcher(Graphs(ready), calibration, headroom, runtime.as_input, choice)
 
     def run(left: Tensor, right: Tensor, largest_px: int) -> tuple[FloatMap, FloatMap, FloatMap]:
         out = ready(left, right, largest_px=largest_px)
         return runtime.as_map(out.disparity_px), runtime.as_map(out.sigma_px), runtime.as_map(out.doubt)
 
-    return NetworkMatcher(run, calibration, headroom)
+    return NetworkMatcher(run, calibration, headroom, choice=choice)
+
+
+def _as_small(mask: Mask, map_: FloatMap) -> Mask:
+    """Return a mask in the size of a map, which may be halved."""
+    size = (map_.shape[1], map_.shape[0])
+    return np.asarray(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), np.bool_)
 
 
 def busy(left: Image, right: Image) -> tuple[slice, slice]:

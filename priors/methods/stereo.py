@@ -21,7 +21,7 @@ from priors.pairs.rectification import NONE, RectificationError
 from priors.pairs.rows import measure_rows, raise_rows
 from priors.recalibration import CLASSICAL_STEREO, Recalibration
 from priors.sky import doubt, rows_below, sky_mask
-from priors.types import Depth, Earlier, FloatMap, Frame, Image, Input, Method
+from priors.types import Depth, Earlier, FloatMap, Frame, Image, Input, Mask, Method
 
 CALIBRATING_CONFIDENCE = 0.9
 """Confidence of a network's pixels that the rectification error is measured on."""
@@ -197,7 +197,7 @@ class Stereo(Method):
         pair = self._level(read_pair(frame))
         needed_px = self._search_beyond(find_range(frame, pair))
         sky = sky_mask(pair.left)
-        disparity_px, trust = self._match_ground(pair, rows_below(sky), self.max_disparity_px or needed_px)
+        disparity_px, trust = self._match_ground(pair, sky, self.max_disparity_px or needed_px)
         disparity_px, trust = pair.restore(disparity_px), pair.restore(trust)
         matched = disparity_px > 0
         disparity_px = self.rectification.correct(disparity_px, frame.camera)
@@ -224,11 +224,11 @@ class Stereo(Method):
 
         return round(open_matcher(network).headroom * needed_px)
 
-    def _match_ground(self, pair: Pair, rows: slice, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
-        """Match these rows of a pair; the others have no disparity. Returns what `_match` does, (height, width)."""
-        size = pair.left.shape[:2]
+    def _match_ground(self, pair: Pair, sky: Mask, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
+        """Match a pair but for rows that are all sky, which get no disparity. Returns what `_match` does."""
+        size, rows = pair.left.shape[:2], rows_below(sky)
         disparity_px, trust = np.zeros(size, np.float32), np.ones(size, np.float32)
-        disparity_px[rows], trust[rows] = self._match(pair.left[rows], pair.right[rows], max_disparity_px)
+        disparity_px[rows], trust[rows] = self._match(pair.left[rows], pair.right[rows], max_disparity_px, sky[rows])
         return disparity_px, trust
 
     def _match_confidently(self, left: Image, right: Image) -> FloatMap:
@@ -254,14 +254,16 @@ class Stereo(Method):
         """Return a pair whose rows match."""
         return pair if not self.rows_px else replace(pair, right=raise_rows(pair.right, self.rows_px))
 
-    def _match(self, left: Image, right: Image, max_disparity_px: int) -> tuple[FloatMap, FloatMap]:
+    def _match(
+        self, left: Image, right: Image, max_disparity_px: int, sky: Mask | None = None
+    ) -> tuple[FloatMap, FloatMap]:
         """Return disparity and the error to expect of it, px; of a network, disparity and confidence."""
         network = self.network
         if network is None:
             return classical.estimate(left, right, max_disparity_px)
         from priors.methods._stereo_network import open_matcher
 
-        return open_matcher(network)(left, right, max_disparity_px)
+        return open_matcher(network)(left, right, max_disparity_px, sky)
 
 
 def _words(numbers: tuple[float, ...]) -> str:

@@ -1,0 +1,206 @@
+"""Fit of a stereo network's surface choice (nets/surface_choice.py), on pairs with truth that training may use.
+
+    priors train surfaces priors/weights/cfnet-s.safetensors --street samples/ --real DATA
+
+The network sees whole pairs: KITTI 2015 and drive 0009 but for what is held back, and street samples. Of each pair some
+pixels are drawn that it is unsure of and whose truth is known. The rule learns from the relative error of the depth,
+from D1's outliers, and a little from errors in metres and pixels. Before it is fitted to all pairs, a quarter of them
+is left out in turn: that says what it is worth on pairs that it has not seen. What is written goes into the header.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+
+from eval.stereo import is_d1
+from priors.adapt.views import to_tensor
+from priors.errors import DataError
+from priors.learn import pair_file
+from priors.learn.real_truth import DRIVE, KITTI2015
+from priors.learn.stereo_data import Folders, find_sources
+from priors.learn.stereo_pair import StereoPair
+from priors.nets import runtime, surface_choice, weights
+from priors.nets.confidence import ConfidenceCalibration
+from priors.nets.runtime import Ready, as_map
+from priors.nets.surface_choice import CLUES, HIDDEN, OFFERED, SurfaceChoice
+from priors.types import FloatMap
+
+LARGEST_PX = 192
+BELOW = 0.7
+"""Pixels of less confidence are fitted to: some more than surfaces are chosen for."""
+PER_PAIR = 4000
+"""Pixels drawn of each pair."""
+SURE = 0.5
+"""Labels count where their weight is above this."""
+LEAST_PX = 1.0
+"""Truth of less disparity is not fitted to; nor is the sky, which the sky mask knows."""
+SHARES = {"street": 0.2, KITTI2015: 1.0, DRIVE: 1.0}
+"""What a pair of each source weighs. A scanner's truth ends before a near outline, so that near surfaces are right more
+often among its pixels than in a street, whose truth is whole: streets hold the rule back from making them wider."""
+REACH = 384.0
+"""Focal length times baseline, px m: KITTI's, for errors in metres."""
+NEAREST_PX = REACH / 250
+"""Maps end at 250 m."""
+STEPS, BATCH, RATE = 1000, 2048, 5e-3
+OUTLIER_WEIGHT, METRE_WEIGHT, PIXEL_WEIGHT = 0.3, 0.0015, 0.01
+"""Of an outlier, a metre and a pixel beside a relative error of 1."""
+MOST_RELATIVE, MOST_M, MOST_PX = 3.0, 20.0, 30.0
+"""Errors above count little more, or no more."""
+PARTS, NEIGHBOURS = 4, 5
+"""Into how many parts the pairs are split, and how many that follow each other stay together: they look alike."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnsurePixels:
+    """Pixels of any number of pairs, n in all, whose confidence is below BELOW."""
+
+    clues: FloatMap
+    """(CLUES, n)."""
+    offered_px: FloatMap
+    """(OFFERED, n)."""
+    truth_px: FloatMap
+    """(n,)."""
+    weight: FloatMap
+    """(n,) a pair's known pixels have SHARES of its source in all, these their part of it."""
+    part: npt.NDArray[np.int64]
+    """(n,) which part the pair is of."""
+    source: npt.NDArray[np.str_]
+    """(n,) where the pair comes from."""
+
+    def take(self, which: npt.NDArray[np.bool_]) -> "UnsurePixels":
+        """Return those where `which` (n,) is True."""
+        of_pairs = self.part[which], self.source[which]
+        return UnsurePixels(
+            self.clues[:, which], self.offered_px[:, which], self.truth_px[which], self.weight[which], *of_pairs
+        )
+
+
+def fit_file(file: Path, folders: Folders) -> list[str]:
+    """Fit the choice of a file of weights, rewriting its header; returns lines that say what it is worth.
+
+    DataError where the weights are another kind of network's, or there is nothing to fit to.
+    """
+    about = weights.read_about(file)
+    ready = runtime.open_net(about["net"], about["size"], runtime.choose("auto"), file)
+    train, _ = find_sources(folders)
+    paths = {name: files for name, files in train.drawn().items() if name in SHARES}
+    pixels = collect(ready, paths)
+    lines = list(cross_validate(pixels))
+    weights.rewrite_about(file, **{surface_choice.ENTRY: fit(pixels).record()})
+    return lines
+
+
+def collect(ready: Ready, paths: dict[str, Sequence[Path]], seed: int = 0) -> UnsurePixels:
+    """Run the network on pairs and draw pixels of each; DataError where there are none.
+
+    Args:
+        ready: the network.
+        paths: files of pairs, by source.
+        seed: decides which pixels are drawn.
+    """
+    rng, parts = np.random.default_rng(seed), []
+    calibration = ConfidenceCalibration.read(ready.about)
+    for source, files in paths.items():
+        for number, path in enumerate(files):
+            *drawn, weight = _draw(ready, calibration, pair_file.read(path), rng)
+            place = np.full(weight.size, number // NEIGHBOURS % PARTS), np.full(weight.size, source)
+            parts.append((*drawn, SHARES[source] * weight, *place))
+    if not parts:
+        raise DataError("no pairs with truth to fit to: name samples by --street, and real data by --real")
+    return UnsurePixels(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
+
+
+def _draw(
+    ready: Ready, calibration: ConfidenceCalibration, pair: StereoPair, rng: np.random.Generator
+) -> tuple[FloatMap, FloatMap, FloatMap, FloatMap]:
+    """Return a pair's clues (CLUES, n), what is offered (OFFERED, n), truth and weights (n,)."""
+    out = ready(to_tensor([pair.left]), to_tensor([pair.right]), largest_px=LARGEST_PX)
+    disparity_px, sigma_px, doubt = (as_map(map_) for map_ in (out.disparity_px, out.sigma_px, out.doubt))
+    confidence = calibration(disparity_px, sigma_px, doubt)
+    truth_px = pair.disparity_px
+    known = (pair.weight > SURE) & ~pair.sky & (truth_px > LEAST_PX) & (truth_px < LARGEST_PX - 1)
+    unsure = np.flatnonzero(known & (confidence < BELOW))
+    at = np.sort(rng.permutation(unsure)[:PER_PAIR])
+    offered_px = surface_choice.offer(disparity_px, at)
+    clues = surface_choice.see(offered_px, (disparity_px, sigma_px, doubt, confidence), at)
+    each = unsure.size / max(1, at.size) / max(1, int(known.sum()))
+    return clues, offered_px, truth_px.reshape(-1)[at], np.full(at.size, each, np.float32)
+
+
+def fit(pixels: UnsurePixels, seed: int = 0) -> SurfaceChoice:
+    """Fit a choice to pixels by Adam; the clues' mean and spread go into the first layer."""
+    mean, spread = pixels.clues.mean(axis=1), pixels.clues.std(axis=1) + 1e-6
+    clues = torch.from_numpy(((pixels.clues - mean[:, None]) / spread[:, None]).T.astype(np.float32))
+    offered_px = torch.from_numpy(np.ascontiguousarray(pixels.offered_px.T))
+    truth_px, weight = torch.from_numpy(pixels.truth_px), torch.from_numpy(pixels.weight / pixels.weight.mean())
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        net = _make_net()
+    optimiser = torch.optim.Adam(net.parameters(), RATE)
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, STEPS)
+    for step in range(STEPS):
+        at = torch.from_numpy(np.random.default_rng([seed, step]).integers(len(truth_px), size=BATCH))
+        chosen_px = (net(clues[at]).softmax(1) * offered_px[at]).sum(1)
+        loss = (weight[at] * cost(chosen_px, truth_px[at])).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+        schedule.step()
+    dense = [each for each in net if isinstance(each, nn.Linear)]
+    layers = [(np.ascontiguousarray(each.weight.detach().numpy().T), each.bias.detach().numpy()) for each in dense]
+    first, bias = layers[0]
+    layers[0] = first / spread[:, None], bias - (mean / spread) @ first
+    return SurfaceChoice(tuple((weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in layers))
+
+
+def _make_net() -> nn.Sequential:
+    """Make a network that at first says: the map's own."""
+    sides = CLUES, *HIDDEN, OFFERED
+    dense = [nn.Linear(*side) for side in pairwise(sides)]
+    net = nn.Sequential(*(part for each in dense[:-1] for part in (each, nn.ReLU())), dense[-1])
+    weight, bias = dense[-1].parameters()
+    with torch.no_grad():
+        weight.mul_(0.1)
+        bias[0] = 2.0
+    return net
+
+
+def cost(chosen_px: Tensor, truth_px: Tensor) -> Tensor:
+    """Return what chosen disparities (n,), px, cost: errors in depth and disparity, and being an outlier."""
+    chosen_px = chosen_px.clamp(min=NEAREST_PX)
+    error_px = (chosen_px - truth_px).abs()
+    relative = (truth_px / chosen_px - 1).abs().clamp(max=MOST_RELATIVE)
+    metres = nn.functional.huber_loss(REACH / chosen_px, REACH / truth_px, reduction="none", delta=MOST_M)
+    outlier = torch.sigmoid(3 * (error_px / (0.05 * truth_px).clamp(min=3) - 1))
+    return relative + OUTLIER_WEIGHT * outlier + METRE_WEIGHT * metres + PIXEL_WEIGHT * error_px.clamp(max=MOST_PX)
+
+
+def cross_validate(pixels: UnsurePixels) -> Iterator[str]:
+    """Leave each part out in turn, and say of each source what the choice is worth on pairs that it has not seen."""
+    chosen_px = pixels.offered_px[0].copy()
+    for part in range(PARTS):
+        apart = pixels.part == part
+        if apart.any() and not apart.all():
+            rest = fit(pixels.take(~apart))
+            chosen_px[apart] = rest.decide(pixels.clues[:, apart], pixels.offered_px[:, apart])
+    for source in dict.fromkeys(pixels.source.tolist()):
+        here = pixels.source == source
+        truth_px, weight = pixels.truth_px[here], pixels.weight[here]
+        before, after = (_figures(found[here], truth_px, weight) for found in (pixels.offered_px[0], chosen_px))
+        yield f"{source}, {here.sum()} unsure pixels, left out in turn: {before}; then {after}"
+
+
+def _figures(found_px: FloatMap, truth_px: FloatMap, weight: FloatMap) -> str:
+    """Return AbsRel, D1 and RMSE of pixels (n,) in words, metres as KITTI's rig has them."""
+    found_px, share = np.maximum(found_px, np.float32(NEAREST_PX)), weight / weight.sum()
+    relative = np.abs(truth_px / found_px - 1)
+    metres = REACH / found_px - REACH / truth_px
+    outlier = is_d1(np.abs(found_px - truth_px), truth_px)
+    rmse_m = float(np.sqrt((share * np.square(metres)).sum()))
+    return f"AbsRel {(share * relative).sum():.3f}, D1 {100 * (share * outlier).sum():.1f} %, RMSE {rmse_m:.2f} m"

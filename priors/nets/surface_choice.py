@@ -1,0 +1,139 @@
+"""Surface choice: on which of the surfaces around it a pixel lies, where a stereo network is unsure.
+
+Beside an outline, behind glass and on thin things two surfaces match about alike, and a network says something between
+them, or the far one. Where its confidence is low, a small rule looks at the disparities around: the map itself, the
+nearest and the farthest value of windows of several sizes. It answers how much each of them counts. The result is their
+weighted mean, so that nothing comes out that the network saw nowhere near.
+
+The rule is a dense network of two hidden layers. `priors train surfaces` fits it (priors/learn/surface_fit.py); the
+header of the weights holds it.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Self
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from priors.nets.confidence import is_hidden
+from priors.sky import Layers
+from priors.types import FloatMap, Mask
+
+ENTRY = "surfaces"
+"""Its name in the header."""
+UNSURE = 0.6
+"""Pixels of less confidence are looked at."""
+NEAREST, FARTHEST = (3, 5, 9, 25), (5, 9)
+"""Sides of the windows, pixels, whose largest and smallest disparity are offered."""
+OFFERED = 1 + len(NEAREST) + len(FARTHEST)
+MEANS = (9, 25)
+"""Sides of the windows that the confidence is averaged over."""
+BELOW = 8
+"""How many rows below a pixel the rule looks too: at the ground that a thing stands on."""
+HIDDEN = (16, 16)
+"""Values of the hidden layers."""
+CLUES = 6 + len(MEANS) + OFFERED - 1
+LEAST_PX, LEAST_SIGMA_PX = 1.0, 0.05
+"""What a disparity and a deviation are at least, before their logarithm is taken."""
+LARGEST_LOGIT = 30.0
+Maps = tuple[FloatMap, FloatMap, FloatMap, FloatMap]
+"""Disparity and its deviation, px, doubt, and confidence in [0, 1]."""
+
+
+@dataclass(frozen=True)
+class SurfaceChoice:
+    """A fitted rule."""
+
+    layers: Layers
+    """Of a dense network, ReLU between them: CLUES values to OFFERED logits."""
+
+    @classmethod
+    def read(cls, about: dict[str, Any]) -> Self | None:
+        """Take the rule from the header of weights; None where there is none."""
+        held = about.get(ENTRY)
+        if held is None:
+            return None
+        return cls(tuple((np.array(weight, np.float32), np.array(bias, np.float32)) for weight, bias in held))
+
+    def record(self) -> list[Any]:
+        """Return what the header holds."""
+        return [[np.round(part, 4).tolist() for part in layer] for layer in self.layers]
+
+    def __call__(self, maps: Maps, apart: Mask | None = None) -> FloatMap:
+        """Return a left view's disparity (height, width), px, with another surface chosen where the network is unsure.
+
+        Args:
+            maps: what the network says, (height, width) each.
+            apart: (height, width), True where the disparity stays: the sky.
+        """
+        disparity_px, _, _, confidence = maps
+        unsure = np.flatnonzero(confidence < UNSURE if apart is None else (confidence < UNSURE) & ~apart)
+        if not unsure.size:
+            return disparity_px
+        offered_px = offer(disparity_px, unsure)
+        clues = see(offered_px, maps, unsure)
+        chosen = disparity_px.copy()
+        chosen.reshape(-1)[unsure] = self.decide(clues, offered_px)
+        return chosen
+
+    def decide(self, clues: FloatMap, offered_px: FloatMap) -> FloatMap:
+        """Return the mean (n,) of what is offered (OFFERED, n), px, as the rule weighs it by clues (CLUES, n)."""
+        from priors.kernels.sky import dense
+
+        values = np.ascontiguousarray(clues, np.float32)
+        for number, (weight, bias) in enumerate(self.layers):
+            if number:
+                np.maximum(values, 0, out=values)
+            answer = np.empty((bias.size, values.shape[1]), np.float32)
+            dense(values, weight, bias, answer)
+            values = answer
+        share = np.exp(np.clip(values - values.max(axis=0), -LARGEST_LOGIT, 0))
+        return np.asarray((share * offered_px).sum(axis=0) / share.sum(axis=0), np.float32)
+
+
+def offer(disparity_px: FloatMap, at: npt.NDArray[np.intp]) -> FloatMap:
+    """Return the disparities to choose from (OFFERED, n), px: the map's own, the largest and the smallest around.
+
+    Args:
+        disparity_px: (height, width).
+        at: (n,) indices of pixels.
+    """
+    found = [disparity_px.reshape(-1)[at]]
+    for sides, extreme in ((NEAREST, cv2.dilate), (FARTHEST, cv2.erode)):
+        map_, reached = disparity_px, 1
+        for side in sides:  # a window of a window: the larger one costs only what it is larger by
+            step = side - reached + 1
+            map_, reached = np.asarray(extreme(map_, np.ones((step, step), np.uint8)), np.float32), side
+            found.append(map_.reshape(-1)[at])
+    return np.stack(found)
+
+
+def see(
+    offered_px: FloatMap, maps: tuple[FloatMap, FloatMap, FloatMap, FloatMap], at: npt.NDArray[np.intp]
+) -> FloatMap:
+    """Return what the rule looks at (CLUES, n).
+
+    Args:
+        offered_px: (OFFERED, n) of `offer`.
+        maps: what the network says, (height, width) each.
+        at: (n,) indices of pixels.
+    """
+    disparity_px, sigma_px, doubt, confidence = maps
+    height, width = disparity_px.shape
+    logs = np.log(np.maximum(offered_px, np.float32(LEAST_PX)))
+    below = np.minimum(at // width + BELOW, height - 1) * width + at % width
+    ground = np.log(np.maximum(disparity_px.reshape(-1)[below], np.float32(LEAST_PX)))
+    trusted = [cv2.blur(confidence, (side, side)).reshape(-1)[at] for side in MEANS]
+    return np.stack(
+        [
+            confidence.reshape(-1)[at],
+            logs[0],
+            np.log(sigma_px.reshape(-1)[at] + np.float32(LEAST_SIGMA_PX)),
+            doubt.reshape(-1)[at],
+            *trusted,
+            is_hidden(disparity_px).reshape(-1)[at].astype(np.float32),
+            ground - logs[0],
+            *(logs[1:] - logs[0]),
+        ]
+    ).astype(np.float32, copy=False)

@@ -1,0 +1,175 @@
+"""Choice of surfaces: what is offered, what comes out, the fit, and that a header keeps it."""
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_learn_completion import street  # noqa: F401
+from torch import nn
+
+from cli import priors
+from priors.errors import DataError
+from priors.learn import surface_fit
+from priors.learn.surface_fit import UnsurePixels
+from priors.nets import runtime, surface_choice, weights
+from priors.nets.surface_choice import CLUES, FARTHEST, HIDDEN, NEAREST, OFFERED, UNSURE, SurfaceChoice
+from priors.types import FloatMap
+
+SIZES = st.tuples(st.integers(1, 12), st.integers(1, 14))
+
+
+def some_maps(size: tuple[int, int], seed: int) -> tuple[FloatMap, FloatMap, FloatMap, FloatMap]:
+    """Return disparity, deviation, doubt and confidence (height, width)."""
+    rng = np.random.default_rng(seed)
+    disparity_px, sigma_px = np.exp(rng.uniform(-7, 5, size)), np.exp(rng.uniform(-4, 3, size))
+    maps = disparity_px, sigma_px, rng.normal(0, 3, size), rng.uniform(0, 1, size)
+    return tuple(map_.astype(np.float32) for map_ in maps)  # type: ignore[return-value]
+
+
+def some_choice(seed: int) -> SurfaceChoice:
+    rng = np.random.default_rng(seed)
+    sides = CLUES, *HIDDEN, OFFERED
+    layers = (
+        (rng.normal(0, 1, side).astype(np.float32), rng.normal(0, 1, side[1]).astype(np.float32))
+        for side in pairwise(sides)
+    )
+    return SurfaceChoice(tuple(layers))
+
+
+def window(map_: FloatMap, row: int, column: int, side: int) -> FloatMap:
+    """Return the values of a window around a pixel, as far as there are any."""
+    reach = side // 2
+    return map_[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
+
+
+@given(SIZES, st.integers(0, 10**6))
+@settings(deadline=None, max_examples=30)
+def test_offered_are_the_extremes_of_the_windows(size: tuple[int, int], seed: int) -> None:
+    disparity_px = some_maps(size, seed)[0]
+    at = np.arange(disparity_px.size)
+    offered_px = surface_choice.offer(disparity_px, at)
+    for index in at:
+        place = divmod(int(index), size[1])
+        expected = [disparity_px[place]]
+        expected += [window(disparity_px, *place, side).max() for side in NEAREST]
+        expected += [window(disparity_px, *place, side).min() for side in FARTHEST]
+        assert offered_px[:, index].tolist() == expected
+
+
+@given(SIZES, st.integers(0, 10**6))
+@settings(deadline=None, max_examples=15)
+def test_nothing_comes_out_that_was_nowhere_near(size: tuple[int, int], seed: int) -> None:
+    maps = some_maps(size, seed)
+    apart = np.random.default_rng(seed).random(size) < 0.2
+    chosen_px = some_choice(seed)(maps, apart)
+    sure = (maps[3] >= UNSURE) | apart
+    assert np.array_equal(chosen_px[sure], maps[0][sure])
+    for row, column in np.argwhere(~sure):
+        around_px = window(maps[0], row, column, max(NEAREST + FARTHEST))
+        assert around_px.min() * (1 - 1e-5) <= chosen_px[row, column] <= around_px.max() * (1 + 1e-5)
+
+
+def test_the_rule_is_the_dense_network_that_was_fitted() -> None:
+    maps = some_maps((20, 30), 3)
+    choice, at = some_choice(4), np.arange(600)
+    offered_px = surface_choice.offer(maps[0], at)
+    clues = surface_choice.see(offered_px, maps, at)
+    net = nn.Sequential(
+        *(
+            part
+            for side in zip((CLUES, *HIDDEN), (*HIDDEN, OFFERED), strict=True)
+            for part in (nn.Linear(*side), nn.ReLU())
+        )
+    )[:-1]
+    with torch.inference_mode():
+        for layer, (weight, bias) in zip(net[::2], choice.layers, strict=True):
+            layer.weight.copy_(torch.from_numpy(weight.T))
+            layer.bias.copy_(torch.from_numpy(bias))
+        share = net.double()(torch.from_numpy(clues.T).double()).softmax(1).numpy()
+    assert np.allclose(choice.decide(clues, offered_px), (share * offered_px.T).sum(1), rtol=1e-3)
+
+
+def made_pixels(seed: int, n: int = 6000) -> UnsurePixels:
+    """Draw pixels whose truth is the nearest value within 5 px where the confidence is below 0.4, else their own."""
+    rng = np.random.default_rng(seed)
+    clues = rng.normal(0, 1, (CLUES, n)).astype(np.float32)
+    clues[0] = rng.uniform(0, UNSURE, n)
+    offered_px = np.sort(np.exp(rng.uniform(1, 5, (OFFERED, n))), axis=0)[[2, 3, 4, 5, 6, 1, 0]].astype(np.float32)
+    truth_px = np.where(clues[0] < 0.4, offered_px[1 + NEAREST.index(5)], offered_px[0])
+    part = np.arange(n) % surface_fit.PARTS
+    return UnsurePixels(clues, offered_px, truth_px, np.ones(n, np.float32), part, np.full(n, "street"))
+
+
+def test_fit_finds_which_surface_counts_on_new_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(surface_fit, "STEPS", 150)
+    monkeypatch.setattr(surface_fit, "BATCH", 512)
+    choice, new = surface_fit.fit(made_pixels(0)), made_pixels(1, 2000)
+    before, after = (
+        np.abs(new.truth_px / found_px - 1).mean()
+        for found_px in (new.offered_px[0], choice.decide(new.clues, new.offered_px))
+    )
+    assert before > 0.3 and after < 0.3 * before
+
+
+def test_cross_validation_tells_before_and_after_of_each_source(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(surface_fit, "STEPS", 5)
+    pixels = made_pixels(2)
+    two = replace(pixels, source=np.where(np.arange(6000) < 3000, "street", "kitti2015"))
+    lines = list(surface_fit.cross_validate(two))
+    assert [line.split(",")[0] for line in lines] == ["street", "kitti2015"]
+    assert all("then AbsRel" in line for line in lines)
+    alone = list(surface_fit.cross_validate(replace(pixels, part=np.zeros(6000, np.int64))))
+    before, after = alone[0].split(": ", 1)[1].split("; then ")
+    assert before == after  # there is nothing to leave out and to learn from
+
+
+def test_header_keeps_the_choice(tmp_path: Path) -> None:
+    path, choice = tmp_path / "w.safetensors", some_choice(1)
+    weights.write(path, nn.Linear(2, 2), {"net": "cfnet"})
+    assert SurfaceChoice.read(weights.read_about(path)) is None
+    weights.rewrite_about(path, **{surface_choice.ENTRY: choice.record()})
+    found = SurfaceChoice.read(weights.read_about(path))
+    assert found is not None
+    for held, given_ in zip(found.layers, choice.layers, strict=True):
+        assert all(np.allclose(a, b, atol=6e-5) for a, b in zip(held, given_, strict=True))
+
+
+def test_shipped_network_chooses() -> None:
+    choice = SurfaceChoice.read(weights.read_about(weights.find("cfnet", "s")))
+    assert choice is not None and [weight.shape for weight, _ in choice.layers] == [
+        (CLUES, 16),
+        (16, 16),
+        (16, OFFERED),
+    ]
+
+
+@pytest.mark.networks
+def test_command_writes_the_header_and_leaves_the_tensors(
+    tmp_path: Path,
+    street: Path,  # noqa: F811
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(surface_fit, "STEPS", 3)
+    path, before = tmp_path / "mine.safetensors", weights.load(weights.find("cfnet", "s"))
+    weights.write(path, runtime.create("cfnet", "s"), {"net": "cfnet", "size": "s"})
+    held = weights.load(path).tensors
+    assert priors.PROGRAM.run(["train", "surfaces", str(path), "--street", str(street)]) == 0
+    assert capsys.readouterr().out.startswith("street, ")
+    after = weights.load(path)
+    assert SurfaceChoice.read(after.about) is not None and after.about.keys() <= before.about.keys()
+    assert all(torch.equal(held[name], value) for name, value in after.tensors.items())
+    with pytest.raises(DataError, match="no pairs with truth"):
+        surface_fit.collect(runtime.open_net("cfnet", "s", "fp32"), {})
+
+
+def test_other_networks_have_no_choice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "mono.safetensors"
+    weights.write(path, runtime.create("bts", "s"), {"net": "bts", "size": "s"})
+    assert priors.PROGRAM.run(["train", "surfaces", str(path)]) == 1
+    assert "of bts, which does not match" in capsys.readouterr().err
