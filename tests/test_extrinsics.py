@@ -17,11 +17,12 @@ from priors.drive_around import DriveAround
 from priors.drives import open_drive
 from priors.errors import DataError
 from priors.extrinsics import kept
-from priors.extrinsics import measure as measuring
+from priors.extrinsics import measured as measuring
 from priors.extrinsics.correction import NONE, Correction
 from priors.extrinsics.edges import EdgeView, yaw_by_edges
-from priors.extrinsics.fit import fit_surfaces
-from priors.extrinsics.measure import FRAMES, Measured, measure, spread_frames
+from priors.extrinsics.fit import Held, fit_surfaces
+from priors.extrinsics.measure import FRAMES, measure, spread_frames
+from priors.extrinsics.measured import AXES, Measured
 from priors.extrinsics.outlines import find_outlines
 from priors.extrinsics.points import Points
 from priors.extrinsics.surfaces import COLUMNS, DELAY, PLACE, TURN, SurfaceView, slopes
@@ -69,7 +70,7 @@ def street_view(wrong: Correction, seed: int = 0) -> SurfaceView:
     rng = np.random.default_rng(seed)
     uv = np.column_stack([rng.uniform(8, 612, 4000), rng.uniform(8, 180, 4000), np.ones(4000)])
     rays = uv @ np.linalg.inv(CAMERA.K).T
-    at_m = rays * road_and_walls(rays)[:, None]
+    at_m = rays * road_and_walls(rays)[:, None] - np.array(wrong.moved_m)
     T = T_left_velo()
     rate = np.tile(T[:3, :3] @ GOES[:3], (len(at_m), 1)) + np.cross(T[:3, :3] @ GOES[3:], at_m - T[:3, 3])
     around_m = (at_m - T[:3, 3]) @ wrong.R - wrong.delay_s * rate  # placed by `wrong`, they are where they are
@@ -198,8 +199,35 @@ def test_surfaces_tell_turn_and_delay(turn: tuple[float, float, float], delay_s:
     fit = fit_surfaces([street_view(wrong, seed) for seed in range(3)], NONE)
     assert fit is not None
     np.testing.assert_allclose(fit.correction.turn_deg, turn, atol=0.06)
-    assert abs(fit.correction.delay_s - delay_s) < 0.003
-    assert np.isfinite(fit.errors).all() and (fit.errors > 0).all()
+    assert abs(fit.correction.delay_s - delay_s) < 0.006 < 2 * fit.errors[3]
+    seen = fit.errors[[0, 1, 2, 3, 5, 6]]
+    assert np.isfinite(seen).all() and (seen > 0).all() and np.isinf(fit.errors[4])  # how far aside, edges tell
+
+
+@pytest.mark.parametrize("down_m", [0.01, -0.01])
+def test_surfaces_tell_how_high_the_lidar_is(down_m: float) -> None:
+    """The prior pulls it towards 0."""
+    fit = fit_surfaces([street_view(Correction(moved_m=(0, down_m, 0)), seed) for seed in range(3)], NONE, AXES)
+    assert fit is not None and 0.2 < fit.correction.moved_m[1] / down_m < 1.2
+    assert (np.abs(fit.correction.turn_deg) < 2 * fit.errors[:3]).all()
+
+
+def test_yaw_goes_with_how_far_aside_the_lidar_is_taken_to_be() -> None:
+    views = [street_view(NONE, seed) for seed in range(3)]
+    fits = [fit_surfaces(views, Correction(moved_m=(aside, 0.0, 0.0)), AXES) for aside in (-0.01, 0.01)]
+    assert fits[0] is not None and fits[1] is not None
+    change = (fits[1].correction.turn_deg[1] - fits[0].correction.turn_deg[1]) / 0.02
+    assert fits[0].yaw_by_aside == pytest.approx(change, rel=0.3)
+
+
+def test_errors_hold_what_is_not_fitted() -> None:
+    views = [street_view(NONE, seed) for seed in range(3)]
+    loose, firm = (
+        fit_surfaces(views, NONE, ["pitch", "roll"], held) for held in (Held(0.1, 0.01, 0.02), Held(0, 0, 0))
+    )
+    assert loose is not None and firm is not None
+    assert (loose.errors[[0, 2, 5, 6]] > firm.errors[[0, 2, 5, 6]]).all()
+    assert loose.correction == firm.correction
 
 
 def test_what_is_held_stays_and_few_points_tell_nothing() -> None:
@@ -219,7 +247,7 @@ def test_a_straight_way_cannot_tell_a_delay_from_a_lidar_farther_ahead() -> None
     assert errors[1] == pytest.approx(5 * errors[0], rel=0.3)
 
 
-def posts(yaw_deg: float, seed: int) -> EdgeView:
+def posts(yaw_deg: float, seed: int, aside_m: float = 0.0) -> EdgeView:
     """Bright posts on a dark wall, and the outlines that a LiDAR sees of them, turned; half a pixel too wide."""
     rng = np.random.default_rng(seed)
     image = np.full(CAMERA.size, 60, np.uint8) + rng.integers(0, 6, CAMERA.size, dtype=np.uint8)
@@ -231,7 +259,7 @@ def posts(yaw_deg: float, seed: int) -> EdgeView:
             v = np.arange(30, 160, 6.0)
             points.append(np.column_stack([np.full_like(v, u), v, np.ones_like(v)]) @ np.linalg.inv(CAMERA.K).T * z)
             sides.append(np.full(len(v), side))
-    xyz_m = np.concatenate(points) @ Correction((0, yaw_deg, 0)).R
+    xyz_m = (np.concatenate(points) - [aside_m, 0, 0]) @ Correction((0, yaw_deg, 0)).R
     return EdgeView(Points(xyz_m, 0 * xyz_m, np.zeros(3)), np.concatenate(sides), CAMERA, image)
 
 
@@ -239,9 +267,30 @@ def posts(yaw_deg: float, seed: int) -> EdgeView:
 def test_upright_edges_tell_yaw(yaw_deg: float) -> None:
     views = [posts(yaw_deg, seed) for seed in range(3)]
     yaw = yaw_by_edges(views, NONE, 1.2)
-    assert yaw is not None and abs(yaw.deg - yaw_deg) < 0.03 and 0 < yaw.error_deg < 0.1
+    assert yaw is not None and abs(yaw.deg - yaw_deg) < 0.03 and 0 < yaw.covariance[0, 0] < 0.1**2
     assert yaw_by_edges(views[:1], NONE, 1.2) is not None
     assert yaw_by_edges([replace(views[0], points=views[0].points.take(np.arange(99)))], NONE, 1.2) is None
+
+
+@pytest.mark.parametrize("aside_m", [-0.02, 0.015])
+def test_upright_edges_near_and_far_tell_how_far_aside_the_lidar_is(aside_m: float) -> None:
+    """Held near 0 by the prior, and told better than by it."""
+    yaw = yaw_by_edges([posts(0.1, seed, aside_m) for seed in range(6)], NONE, 1.2)
+    assert yaw is not None and 0.2 < yaw.aside_m / aside_m < 1.5
+    error_deg, error_m = np.sqrt(np.diag(yaw.covariance))
+    assert abs(yaw.deg - 0.1) < 3 * error_deg and error_m < 0.013
+
+
+def test_posts_of_one_distance_leave_the_place_as_calibrated() -> None:
+    """Yaw and place look alike there: the place stays near 0, and both errors hold that it may be off."""
+    views = []
+    for seed in range(3):
+        view = posts(0.0, seed)
+        z = view.points.xyz_m[:, 2:]
+        views.append(replace(view, points=replace(view.points, xyz_m=view.points.xyz_m * 12 / z)))
+    yaw = yaw_by_edges(views, NONE, 1.2)
+    assert yaw is not None and abs(yaw.aside_m) < 0.01 and yaw.covariance[1, 1] > 0.01**2
+    assert yaw.covariance[0, 0] ** 0.5 > np.degrees(0.01 / 12)
 
 
 def test_an_image_without_edges_tells_no_yaw() -> None:
@@ -250,21 +299,29 @@ def test_an_image_without_edges_tells_no_yaw() -> None:
 
 
 def test_what_is_told_and_restored() -> None:
-    measured = Measured(Correction((0.3, -0.1, 0.0), 0.021), (0.05, 0.04, np.inf), 0.004, ["a", "b"])
+    measured = Measured(Correction((0.3, -0.1, 0.0), 0.021), (0.05, 0.04, np.inf), 0.004, frames=["a", "b"])
     assert str(measured) == (
         "turned by 0.32 degrees (pitch +0.30 +-0.05, yaw -0.10 +-0.04, roll not seen); +21 +-4 ms late"
     )
     assert Measured.restore(json.loads(json.dumps(measured.record()))) == measured
+    placed = replace(measured.correction, moved_m=(0.012, -0.004, 0.0))
+    moved = replace(measured, correction=placed, moved_errors_m=(0.008, 0.005, np.inf))
+    assert str(moved) == f"{measured}; it stands +1.2 +-0.8 cm right, -0.4 +-0.5 cm down"
+    assert Measured.restore(json.loads(json.dumps(moved.record()))) == moved
     assert "no delay (+-4 ms)" in str(replace(measured, correction=Correction()))
     assert "delay not seen" in str(replace(measured, delay_error_s=np.inf))
     assert measured.error_deg == pytest.approx(np.hypot(0.3 * 0.05, 0.1 * 0.04) / np.hypot(0.3, 0.1))
 
 
 def test_only_angles_that_are_sure_are_corrected() -> None:
-    """Two standard errors: what is not seen has an error of inf."""
+    """What is not seen has an error of inf."""
     measured = Measured(Correction((0.3, -0.07, 0.0), 0.021), (0.05, 0.04, np.inf), 0.004)
     assert measured.sure == Correction((0.3, 0.0, 0.0), 0.021)
-    assert replace(measured, errors_deg=(0.2, 0.03, np.inf)).sure.turn_deg == (0.0, -0.07, 0.0)
+    assert replace(measured, errors_deg=(0.2, 0.025, np.inf)).sure.turn_deg == (0.0, -0.07, 0.0)
+    moved = replace(measured, correction=replace(measured.correction, moved_m=(0.01, 0.0, 0.0)))
+    assert moved.sure.moved_m == (0.01, 0.0, 0.0)  # the angles were found beside it
+    still = replace(moved, correction=replace(moved.correction, delay_s=0.0), errors_deg=(0.3, 0.3, np.inf))
+    assert still.sure == NONE
 
 
 def test_frames_are_spread_over_the_drive(street: Path) -> None:
@@ -318,7 +375,7 @@ def test_it_is_measured_once_and_again_where_a_frame_has_changed(own_street: Pat
 def test_methods_work_as_measured_and_say_what_they_need(
     street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(measuring, "SURE_TURN", 1e-9)  # a right street's angles are not sure, and here they shall count
+    monkeypatch.setattr(measuring, "SURE", 1e-9)  # a right street's angles are not sure, and here they shall count
     drive = open_drive(street)
     found = kept.measured_on(drive, tmp_path / drive.name / "weights").sure
     assert found.size_deg > 0

@@ -13,6 +13,7 @@ from test_splat_fit import config, psnr
 from nerf import fields
 from nerf.gaussians.appearance import Appearance, changed, unchanged
 from nerf.gaussians.model import SplatModel
+from nerf.harmonics import harmonics
 from nerf.scene import Scene
 
 pytestmark = pytest.mark.splats
@@ -58,6 +59,20 @@ def test_views_between_frames_show_their_mean() -> None:
     assert torch.allclose(alone.at(along([9.0])[0]), alone.change[0])
 
 
+def test_what_other_programs_show_is_the_frames_mean() -> None:
+    random = torch.Generator().manual_seed(0)
+    model = Appearance(along([0.0, 1.0]), torch.device("cpu"))
+    model.change += 0.1 * torch.randn(2, 3, 4, generator=random)
+    own, basis = 0.1 * torch.randn(5, 4, 3, generator=random), harmonics(torch.eye(3))[:, :4]
+    own[:, 0] += 1.0  # no colour is below 0
+
+    def colours(coefficients: torch.Tensor) -> torch.Tensor:
+        return 0.5 + (basis[:, None, :, None] * coefficients).sum(2)
+
+    wanted = changed(colours(own), model.change.mean(0))
+    assert torch.allclose(colours(model.usual(own)), wanted, atol=1e-6)
+
+
 def exposed(scene: Scene) -> Scene:
     """The corridor as a camera sees it whose exposure drifts; what is clipped is kept dark enough."""
     gains = 0.75 + 0.25 * np.sin(np.arange(len(scene.ids)) * 0.35)
@@ -83,7 +98,7 @@ def test_held_out_views_gain_where_exposure_drifts() -> None:
 
 def test_a_checkpoint_without_it_is_of_other_settings() -> None:
     scene = corridor("8")
-    plain = fields.family("splat").start(scene, config(1), "cpu")
-    learns = fields.family("splat").start(scene, config(1, appearance=True), "cpu")
+    plain = fields.family("splat").start(scene, config(1, appearance=False), "cpu")
+    learns = fields.family("splat").start(scene, config(1), "cpu")
     with pytest.raises(ValueError, match=r"appearance\.poses"):
         learns.load(plain.state())

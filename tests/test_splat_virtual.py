@@ -167,8 +167,9 @@ def test_a_run_of_before_goes_on_without_them(tmp_path: Any) -> None:
     from priors.records import record, restore
 
     told = record(config(4))
-    del told["model"]["gaussians"]["virtual_views"]
-    assert restore(FitConfig, told).model.gaussians.virtual_views == 0
+    del told["model"]["gaussians"]["virtual_views"], told["model"]["gaussians"]["appearance"]
+    before = restore(FitConfig, told).model.gaussians
+    assert before.virtual_views == 0 and not before.appearance
     fit(corridor("4"), restore(FitConfig, told), tmp_path)
     assert checkpoint.open_model(tmp_path) is not None
 

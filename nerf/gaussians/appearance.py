@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from nerf.harmonics import Y0
 from nerf.warp.frames import unlike_m
 from priors.types import Matrix
 
@@ -18,6 +19,8 @@ RATE = 1e-2
 PULL = 0.01
 """How firmly numbers are held to no change: the loss is PULL times their squared change, summed."""
 BETAS, EPSILON = (0.9, 0.99), 1e-8
+GREY = 0.5
+"""The colour of a Gaussian without coefficients."""
 NEAREST = 2
 """Training frames that a view between them is shown as."""
 
@@ -60,6 +63,13 @@ class Appearance:
         square.mul_(gamma).addcmul_(gradient, gradient, value=1 - gamma)
         away = (square / (1 - gamma**step)).sqrt() + EPSILON
         change -= share * RATE * mean / (1 - beta**step) / away
+
+    def usual(self, harmonics: Tensor) -> Tensor:
+        """Return colour coefficients (n, k, 3) as the mean of all frames shows them: other programs know no frames."""
+        change = self.change.mean(0)
+        turned = harmonics + harmonics @ change[:, :3].T
+        turned[:, 0] += (GREY * change[:, :3].sum(1) + change[:, 3]) / Y0
+        return turned
 
     def state(self) -> dict[str, Tensor]:
         """Return what `load` needs, not copied."""

@@ -32,10 +32,10 @@ class GaussianConfig:
     """Weight of the loss that lays Gaussians along the surface that the rendered depth shows; 0: none."""
     robust: bool = False
     """Leave out pixels of a training frame that the other frames contradict: what drives or walks."""
-    appearance: bool = False
+    appearance: bool = True
     """Learn an affine change of colour for each training frame: exposure and white balance differ."""
 
-    BEFORE: ClassVar[Mapping[str, Any]] = {"virtual_views": 0.0}
+    BEFORE: ClassVar[Mapping[str, Any]] = {"virtual_views": 0.0, "appearance": False}
 
     def __post_init__(self) -> None:
         expect_between(1, self.most_gaussians, MOST, "--most-gaussians")

@@ -162,7 +162,10 @@ class SplatModel:
         middle_m = self.gaussians.means_m.mean(0) if len(self.gaussians) else torch.zeros(3, device=self.device)
         shell = shell_of(self.backdrop.sky, told, middle_m, self.gaussians.harmonics.shape[1])
         both = [part.tensors() for part in (self.gaussians, shell)]
-        return Gaussians(*(torch.cat([part[name] for part in both]) for name in both[0]))
+        joint = {name: torch.cat([part[name] for part in both]) for name in both[0]}
+        if self.appearance is not None:
+            joint["harmonics"] = self.appearance.usual(joint["harmonics"])
+        return Gaussians(**joint)
 
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name."""

@@ -9,10 +9,11 @@ from priors.check.finding import Finding
 from priors.check.sample import Sample
 from priors.errors import DataError
 from priors.extrinsics.measure import FEWEST_FRAMES, measure
+from priors.extrinsics.measured import SURE
 from priors.types import Frame, Input
 
-TURNED_DEG, LATE_S, SURE = 0.1, 0.005, 2.0
-"""A turn and a delay that are larger, by so many standard errors, are told: 1.3 px at KITTI's focal length, and 7 cm at
+TURNED_DEG, LATE_S = 0.1, 0.005
+"""A turn and a delay that are larger, by SURE standard errors, are told: 1.3 px at KITTI's focal length, and 7 cm at
 50 km/h."""
 KINDS: tuple[Input, ...] = ("image", "other", "sweep")
 MEND = "--lidar.extrinsics measured corrects it"

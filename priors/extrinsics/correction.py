@@ -16,15 +16,14 @@ Floats = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Correction:
-    """A small turn of the LiDAR about its own place, and how much later it measures than the drive says.
-
-    Where it stands is left as calibrated: docs/extrinsics.md says why.
-    """
+    """A small turn of the LiDAR about its own place, how far that is off, and how late it measures."""
 
     turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Rotation vector along the camera's axes, degrees: pitch (about x, right), yaw (y, down), roll (z, forward)."""
     delay_s: float = 0.0
     """To be added to the time of each point, seconds."""
+    moved_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """To be added to the LiDAR's place, along the camera's axes, metres: right, down, forward."""
 
     @property
     def R(self) -> Matrix:
@@ -42,6 +41,7 @@ class Correction:
         """Return where the LiDAR is (4, 4), metres, for where the calibration puts it."""
         placed = T_cam_lidar.copy()
         placed[:3, :3] = self.R @ T_cam_lidar[:3, :3]
+        placed[:3, 3] += self.moved_m
         return placed
 
     def frame(self, frame: Frame) -> Frame:

@@ -1,6 +1,6 @@
 """What was measured of a drive, kept beside its priors: measured once, and again where the frames have changed.
 
-<folder>/extrinsics-<key>.json      turn, delay, errors, frames, and the files that they were measured in
+<folder>/extrinsics-<key>.json      turn, delay, place, errors, frames, and the files that they were measured in
 """
 
 import json
@@ -12,11 +12,12 @@ from eval.files import write_bytes
 from priors.cache.learned import WatchedDrive, why_learned_stale
 from priors.cache.sources import Digests
 from priors.errors import DataError
-from priors.extrinsics.measure import Measured, measure, spread_frames
+from priors.extrinsics.measure import measure, spread_frames
+from priors.extrinsics.measured import Measured
 from priors.keys import key_of
 from priors.types import Drive, Frame
 
-VERSION = 1
+VERSION = 2
 """Raised when what is measured changes."""
 FORMAT, MADE_OF = 1, "made_of"
 

@@ -1,18 +1,19 @@
-"""Measure how the LiDAR of a drive is turned against the camera, and how late it is, from several frames.
+"""Measure how the LiDAR of a drive is turned against the camera, where it stands, and how late it is.
 
-Surfaces that the pair and the sweep both see tell pitch, roll and delay; upright edges tell yaw. docs/extrinsics.md.
+Surfaces that the pair and the sweep both see tell pitch, roll, height and delay; upright edges tell yaw and how far
+aside it is. docs/extrinsics.md.
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from dataclasses import replace
 
 import numpy as np
 
 from priors.errors import DataError
 from priors.extrinsics.correction import NONE, Correction
 from priors.extrinsics.edges import EdgeView, Yaw, yaw_by_edges
-from priors.extrinsics.fit import UNKNOWNS, Fit, fit_surfaces
+from priors.extrinsics.fit import PLACE_M, UNKNOWNS, Held, fit_surfaces
+from priors.extrinsics.measured import AXES, SURE, Measured
 from priors.extrinsics.surfaces import SurfaceView
 from priors.types import Camera, Drive, Frame
 
@@ -23,78 +24,10 @@ REACH_DEG, FAR_REACH_DEG = 0.3, 1.2
 """How far edges look for yaw around what surfaces say; without a pair."""
 LARGEST_DEG = 2.0
 """More is no small correction: what is found there may be anything."""
-SURFACES_PX, EDGES_PX, PLACE_DEG = 0.25, 0.25, 0.04
-"""Errors of yaw that more frames do not lower (standard deviation): of either way alone, in its images; of both, by a
-LiDAR whose place is known within 1 cm."""
-SURE_TURN = 2.0
-"""An angle is corrected from so many standard errors on: below, a calibration is rather right than the measurement."""
-SURE = 3.0
-"""A delay counts from so many standard errors on."""
+SURFACES_PX, EDGES_PX = 0.25, 0.25
+"""Errors of yaw that more frames do not lower (standard deviation), of either way, in its images."""
 SEEN: Mapping[str, float] = {"pitch": 0.2, "yaw": 0.2, "roll": 0.2, "delay": 0.01}
 """Standard errors, degrees and seconds, above which a number says nothing: it is not seen."""
-Angles: TypeAlias = tuple[float, float, float]
-AXES = ("pitch", "yaw", "roll")
-
-
-@dataclass(frozen=True)
-class Measured:
-    """What was measured. What cannot be seen is 0 in the correction, and its error is inf."""
-
-    correction: Correction
-    errors_deg: Angles
-    """Standard errors of pitch, yaw and roll, degrees."""
-    delay_error_s: float
-    """Standard error of the delay, seconds."""
-    frames: Sequence[str] = field(default_factory=list)
-    """Ids of the frames that were looked at."""
-
-    @property
-    def error_deg(self) -> float:
-        """Standard error of the turn's size, degrees; inf where its direction is not seen at all."""
-        seen = np.isfinite(self.errors_deg)
-        turn, errors = np.array(self.correction.turn_deg)[seen], np.array(self.errors_deg)[seen]
-        size = float(np.linalg.norm(turn))
-        return float(np.linalg.norm(turn * errors)) / size if size > 0 else float(np.max(errors, initial=0))
-
-    @property
-    def sure(self) -> Correction:
-        """The part of the correction that is worth applying: angles of at least SURE_TURN standard errors."""
-        turn, errors = np.array(self.correction.turn_deg), np.array(self.errors_deg)
-        pitch, yaw, roll = (float(each) for each in np.where(np.abs(turn) >= SURE_TURN * errors, turn, 0.0))
-        return replace(self.correction, turn_deg=(pitch, yaw, roll))
-
-    @property
-    def has_delay(self) -> bool:
-        """Whether a delay was found."""
-        return self.correction.delay_s != 0
-
-    def __str__(self) -> str:
-        """Tell the numbers."""
-        shown = [
-            f"{axis} {value:+.2f} +-{error:.2f}" if np.isfinite(error) else f"{axis} not seen"
-            for axis, value, error in zip(AXES, self.correction.turn_deg, self.errors_deg, strict=True)
-        ]
-        text = f"turned by {self.correction.size_deg:.2f} degrees ({', '.join(shown)})"
-        if not np.isfinite(self.delay_error_s):
-            return f"{text}; delay not seen"
-        error_ms = 1000 * self.delay_error_s
-        if not self.has_delay:
-            return f"{text}; no delay (+-{error_ms:.0f} ms)"
-        return f"{text}; {1000 * self.correction.delay_s:+.0f} +-{error_ms:.0f} ms late"
-
-    def record(self) -> dict[str, Any]:
-        """Return it as JSON holds it; an error that is inf is null."""
-        errors = [error if np.isfinite(error) else None for error in (*self.errors_deg, self.delay_error_s)]
-        turn, delay_s = list(self.correction.turn_deg), self.correction.delay_s
-        return {"turn_deg": turn, "delay_s": delay_s, "errors": errors, "frames": list(self.frames)}
-
-    @classmethod
-    def restore(cls, record: dict[str, Any]) -> "Measured":
-        """Read such a record; KeyError, TypeError or ValueError where it is none."""
-        pitch, yaw, roll = (float(angle) for angle in record["turn_deg"])
-        *turn, delay = (np.inf if error is None else float(error) for error in record["errors"])
-        errors: Angles = (turn[0], turn[1], turn[2])
-        return cls(Correction((pitch, yaw, roll), float(record["delay_s"])), errors, delay, list(record["frames"]))
 
 
 def spread_frames(drive: Drive) -> list[int]:
@@ -121,7 +54,7 @@ def measure(frames: Sequence[Frame], on_frame: Callable[[], None] = lambda: None
     edges, surfaces, ids = [], [], []
     for frame in frames:
         try:
-            seen = _look(frame)
+            seen = look(frame)
         except DataError:
             seen = None  # it is told where the frame is used
         if seen is not None:
@@ -138,7 +71,7 @@ def measure(frames: Sequence[Frame], on_frame: Callable[[], None] = lambda: None
     return replace(measured, frames=ids)
 
 
-def _look(frame: Frame) -> tuple[EdgeView, SurfaceView | None] | None:
+def look(frame: Frame) -> tuple[EdgeView, SurfaceView | None] | None:
     """Look at a frame; None where it has no LiDAR, or misses its sweep."""
     if frame.T_cam_lidar is None or not (frame.has("sweep") and frame.has("image")):
         return None
@@ -151,7 +84,7 @@ def _look(frame: Frame) -> tuple[EdgeView, SurfaceView | None] | None:
 
 
 def _join(edges: Sequence[EdgeView], surfaces: Sequence[SurfaceView]) -> Measured:
-    """Measure by surfaces, then yaw by edges too, then the rest beside that yaw."""
+    """Measure by surfaces, then yaw and how far aside by edges too, then the rest beside them."""
     moving = any(view.points.rate_m_s.any() for view in surfaces)
     free = [*AXES, "delay"] if moving else list(AXES)
     fit = fit_surfaces(surfaces, NONE, free)
@@ -160,43 +93,54 @@ def _join(edges: Sequence[EdgeView], surfaces: Sequence[SurfaceView]) -> Measure
     delay_error_s = float(fit.errors[3])
     if abs(fit.correction.delay_s) < SURE * delay_error_s:  # what is wrong with a delay would go into yaw
         free = list(AXES)
-        fit = fit_surfaces(surfaces, NONE, free) or fit
-    free = [name for name, error in zip(UNKNOWNS, fit.errors, strict=True) if name in free and error < SEEN[name]]
-    fit = fit_surfaces(surfaces, NONE, free) if free else None
-    if fit is None:
+        fit = fit_surfaces(surfaces, replace(fit.correction, delay_s=0.0), free) or fit
+    free = [name for name, error in zip(UNKNOWNS, fit.errors, strict=False) if name in free and error < SEEN[name]]
+    if not free:
         return _by_edges_alone(edges)
-    by_edges = yaw_by_edges(edges, fit.correction, REACH_DEG)
-    yaw_deg, yaw_error = _yaw(fit, by_edges, surfaces[0].camera, edges[0].camera)
-    delay_error_s = delay_error_s if delay_error_s < SEEN["delay"] else np.inf
-    return _beside(yaw_deg, yaw_error, surfaces, fit, free, delay_error_s)
+    aside = _aside(edges, surfaces, fit.correction, free)
+    pitch, _, roll = (angle if axis in free else 0.0 for axis, angle in zip(AXES, fit.correction.turn_deg, strict=True))
+    _, down, ahead = fit.correction.moved_m
+    start = replace(fit.correction, turn_deg=(pitch, aside.deg, roll), moved_m=(aside.aside_m, down, ahead))
+    yaw_error, aside_error_m = (float(error) for error in np.sqrt(np.diag(aside.covariance)))
+    unknown_delay_s = min(delay_error_s, SEEN["delay"]) if moving else 0.0
+    held = Held(min(yaw_error, SEEN["yaw"]), unknown_delay_s, aside_error_m)
+    rest = fit_surfaces(surfaces, start, [name for name in free if name != "yaw"], held)
+    if rest is None:
+        return _by_edges_alone(edges)
+    return Measured(
+        rest.correction,
+        (float(rest.errors[0]), yaw_error, float(rest.errors[2])),
+        delay_error_s if delay_error_s < SEEN["delay"] else np.inf,
+        (held.aside_m, float(rest.errors[5]), float(rest.errors[6])),
+    )
 
 
-def _yaw(fit: Fit, by_edges: Yaw | None, small: Camera, whole: Camera) -> tuple[float, float]:
-    """Return the weighted mean of what surfaces and edges say of yaw, and its error, degrees; 0 and inf of neither."""
-    yaws, variances = np.array([fit.correction.turn_deg[1], 0.0]), np.array([np.inf, np.inf])
-    variances[0] = _angle(SURFACES_PX, small) ** 2 + max(0.0, float(fit.errors[1]) ** 2 - PLACE_DEG**2)
-    if by_edges is not None:
-        yaws[1], variances[1] = by_edges.deg, _angle(EDGES_PX, whole) ** 2 + by_edges.error_deg**2
-    weights = 1 / variances
-    if not weights.any():
-        return 0.0, np.inf
-    return float(weights @ yaws / weights.sum()), float(np.hypot(PLACE_DEG, weights.sum() ** -0.5))
+def _aside(edges: Sequence[EdgeView], surfaces: Sequence[SurfaceView], start: Correction, free: Sequence[str]) -> Yaw:
+    """Join what edges and surfaces say of yaw and of how far aside the LiDAR is, by generalised least squares."""
+    found = yaw_by_edges(edges, start, REACH_DEG)
+    value, information = np.array([0.0, 0.0]), np.diag([0.0, PLACE_M**-2])
+    if found is not None:
+        value = np.array([found.deg, found.aside_m])
+        floor = np.diag([_angle(EDGES_PX, edges[0].camera) ** 2, 0.0])
+        information = np.linalg.inv(found.covariance + floor)
+    if "yaw" in free:
+        right = replace(start, moved_m=(float(value[1]), *start.moved_m[1:]))
+        fit = fit_surfaces(surfaces, right, free, Held(aside_m=0.0))
+        if fit is not None:
+            row = np.array([1.0, -fit.yaw_by_aside])
+            weight = 1 / (float(fit.errors[1]) ** 2 + _angle(SURFACES_PX, surfaces[0].camera) ** 2)
+            told = fit.correction.turn_deg[1] - fit.yaw_by_aside * value[1]
+            joint = information + weight * np.outer(row, row)
+            value = np.linalg.solve(joint, information @ value + weight * told * row)
+            information = joint
+    if information[0, 0] == 0:
+        return Yaw(0.0, 0.0, np.diag([np.inf, PLACE_M**2]))
+    return Yaw(float(value[0]), float(value[1]), np.linalg.inv(information))
 
 
 def _angle(px: float, camera: Camera) -> float:
     """Return the angle of so many pixels in the middle of an image, degrees."""
     return float(np.degrees(px / camera.fx))
-
-
-def _beside(
-    yaw_deg: float, yaw_error: float, surfaces: Sequence[SurfaceView], fit: Fit, free: list[str], delay_error_s: float
-) -> Measured:
-    """Fit the rest beside a yaw."""
-    pitch, _, roll = fit.correction.turn_deg
-    start = replace(fit.correction, turn_deg=(pitch, yaw_deg, roll))
-    rest = fit_surfaces(surfaces, start, [name for name in free if name != "yaw"]) or fit
-    errors = float(rest.errors[0]), yaw_error, float(rest.errors[2])
-    return Measured(rest.correction, errors, delay_error_s)
 
 
 def _by_edges_alone(edges: Sequence[EdgeView]) -> Measured:
@@ -206,5 +150,7 @@ def _by_edges_alone(edges: Sequence[EdgeView]) -> Measured:
         raise DataError(
             f"{len(edges)} frames show too few surfaces and outlines to tell how LiDAR and camera are turned"
         )
-    error = float(np.hypot(PLACE_DEG, np.hypot(_angle(EDGES_PX, edges[0].camera), yaw.error_deg)))
-    return Measured(Correction((0.0, yaw.deg, 0.0)), (np.inf, error, np.inf), np.inf)
+    error = float(np.hypot(_angle(EDGES_PX, edges[0].camera), yaw.covariance[0, 0] ** 0.5))
+    aside_error_m = float(yaw.covariance[1, 1] ** 0.5)
+    correction = Correction((0.0, yaw.deg, 0.0), moved_m=(yaw.aside_m, 0.0, 0.0))
+    return Measured(correction, (np.inf, error, np.inf), np.inf, (aside_error_m, np.inf, np.inf))

@@ -47,7 +47,7 @@ class Points:
 
     def placed(self, by: Correction) -> Floats:
         """Return where they are in the camera's frame (n, 3), metres."""
-        return (self.xyz_m + by.delay_s * self.rate_m_s) @ by.R.T + self.origin_m
+        return (self.xyz_m + by.delay_s * self.rate_m_s) @ by.R.T + self.origin_m + np.array(by.moved_m)
 
 
 def crop(sweep: Sweep, camera: Camera, T_cam_lidar: Matrix) -> Sweep:

@@ -129,7 +129,7 @@ class SurfaceView:
         by_x, by_y = across * fx / z, down * fy / z
         by_z = -(across * fx * x + down * fy * y) / z**2 + self.fx_baseline / z**2
         by_place = np.stack([by_x, by_y, by_z], axis=1)
-        by_turn = np.cross(xyz_m - some.origin_m, by_place)
+        by_turn = np.cross(xyz_m - some.origin_m - np.array(by.moved_m), by_place)
         by_delay = np.sum(by_place * (some.rate_m_s @ by.R.T), axis=1)
         return np.concatenate([by_turn, by_delay[:, None], by_place], axis=1)
 

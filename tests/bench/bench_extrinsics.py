@@ -23,10 +23,11 @@ def main() -> None:
     parser.add_argument("--turn", type=float, nargs=3, default=(0.0, 0.0, 0.0), help="degrees, before it is measured")
     parser.add_argument("--delay-ms", type=float, default=0.0, help="by which sweeps are made too late")
     parser.add_argument("--parts", type=int, default=1, help="stretches of the drive, each measured alone")
+    parser.add_argument("--frames", type=int, default=FRAMES, help="looked at in each part")
     args = parser.parse_args()
     drive, wrong = open_drive(args.drive), Correction(tuple(args.turn), -0.001 * args.delay_ms)
     for part in np.array_split(np.arange(len(drive)), args.parts):
-        places = part[np.linspace(0, len(part) - 1, min(FRAMES, len(part))).round().astype(int)]
+        places = part[np.linspace(0, len(part) - 1, min(args.frames, len(part))).round().astype(int)]
         frames = [wrong.frame(drive[place]) for place in places.tolist()]
         print(f"{frames[0].id} to {frames[-1].id}: {measure(frames)}", flush=True)
 

@@ -1,5 +1,5 @@
 """Triton's interpreter (3.9) looks through all of its language at each call of a function within a kernel, for what is
-to be replaced. Once a kernel is enough, and five times as fast."""
+to be replaced. Once a kernel is enough, and twice as fast where kernels call many functions."""
 
 import inspect
 from collections.abc import Callable

@@ -1,0 +1,141 @@
+"""False alarms and misses of the extrinsics by threshold, on streets whose calibration is made wrong, and on others.
+
+python tests/bench/bench_extrinsics_rules.py street/street/* corner/street/*       streets: the truth is known
+    python tests/bench/bench_extrinsics_rules.py DRIVE --as-it-is                  a real drive, taken for right
+
+On each drive: as it is; with the LiDAR 1 cm aside, 1 cm up and 2 cm ahead (standard deviations, drawn); and beside that
+turned by 0.15, 0.2 and 0.3 degrees about one axis, 20 ms late, 10 ms early.
+"""
+
+import argparse
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from priors.drives import open_drive
+from priors.extrinsics.correction import NONE, Correction
+from priors.extrinsics.fit import fit_surfaces
+from priors.extrinsics.measure import look, measure, spread_frames
+from priors.extrinsics.measured import Measured
+from priors.types import Frame
+
+TURNS_DEG = (0.15, -0.2, 0.3)
+PLACE_M = (0.01, 0.01, 0.02)
+MARGINS, DELAYS, ANGLES = (1.0, 1.5, 2.0, 2.5, 3.0), (2.0, 2.5, 3.0), (1.0, 2.0, 2.5, 3.0)
+TURNED_DEG = 0.1
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One measurement."""
+
+    made: Correction
+    """What was done to the calibration: what is found should be its opposite."""
+    found: Measured
+    delay: tuple[float, float]
+    """Of surfaces alone, whatever the rule: the delay and its standard error, seconds."""
+
+    @property
+    def found_deg(self) -> np.ndarray:
+        """Return what was found (3,)."""
+        return np.array(self.found.correction.turn_deg)
+
+    @property
+    def off_deg(self) -> np.ndarray:
+        """Return what was found, less what is right (3,)."""
+        return self.found_deg + np.array(self.made.turn_deg)
+
+    @property
+    def errors_deg(self) -> np.ndarray:
+        """Return the standard errors (3,)."""
+        return np.array(self.found.errors_deg)
+
+
+def cases(seed: int) -> Iterator[Correction]:
+    """Make calibrations wrong."""
+    rng = np.random.default_rng(seed)
+    yield NONE
+    late = [(0.0, 0.0)] + [(turn, 0.0) for turn in TURNS_DEG] + [(0.0, 0.02), (0.0, -0.01)]
+    for number, (turn, delay_s) in enumerate(late):
+        turned, place = np.roll([turn, 0.0, 0.0], seed + number), rng.normal(0, PLACE_M)
+        pitch, yaw, roll = (float(each) for each in turned)
+        right, down, forward = (float(each) for each in place)
+        yield Correction((pitch, yaw, roll), -delay_s, (right, down, forward))
+
+
+def trials(frames: Sequence[Frame], made: Sequence[Correction]) -> Iterator[Trial]:
+    """Measure a drive whose calibration is made wrong in each way."""
+    for wrong in made:
+        off = [wrong.frame(frame) for frame in frames]
+        surfaces = [view for seen in map(look, off) if seen is not None and (view := seen[1]) is not None]
+        fit = fit_surfaces(surfaces, NONE)
+        delay = (0.0, np.inf) if fit is None else (fit.correction.delay_s, float(fit.errors[3]))
+        trial = Trial(wrong, measure(off), delay)
+        print(
+            f"  {wrong}\n    {trial.found}; surfaces alone: {1000 * delay[0]:+.1f} +-{1000 * delay[1]:.1f} ms",
+            flush=True,
+        )
+        yield trial
+
+
+def table(found: Sequence[Trial]) -> Iterator[str]:
+    """Say how right the errors are, and what each threshold gets wrong."""
+    off, errors = (np.array([getattr(t, name) for t in found]) for name in ("off_deg", "errors_deg"))
+    yield f"{len(found)} trials; off by {_rms(off)} degrees, {_rms(off / errors)} standard errors (rms)"
+    right, turned = ([t for t in found if (t.made.size_deg > 0) == is_turned] for is_turned in (False, True))
+    for margin in MARGINS:
+        false = sum(_told(t, margin) for t in right)
+        yield f"check's warning, {margin} errors: {false} of {len(right)} false; missed: {_missed(turned, margin)}"
+    right, late = ([t for t in found if (t.made.delay_s != 0) == is_late] for is_late in (False, True))
+    for sure in DELAYS:
+        false, missed_ = (
+            sum(_late(t, sure) == wanted for t in some) for some, wanted in ((right, True), (late, False))
+        )
+        yield f"delay, {sure} errors: {false} of {len(right)} false, {missed_} of {len(late)} missed"
+    for sure in ANGLES:
+        left = [np.where(np.abs(t.found_deg) < sure * t.errors_deg, t.made.turn_deg, t.off_deg) for t in found]
+        yield f"angles applied from {sure} errors on: left off by {np.sqrt(np.mean(np.square(left))):.3f} degrees (rms)"
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    return np.sqrt(np.mean(np.square(values), axis=0)).round(3)
+
+
+def _told(trial: Trial, margin: float) -> bool:
+    return trial.found.correction.size_deg - margin * trial.found.error_deg > TURNED_DEG
+
+
+def _missed(turned: Sequence[Trial], margin: float) -> str:
+    sizes = sorted({round(t.made.size_deg, 2) for t in turned})
+    some = {size: [t for t in turned if round(t.made.size_deg, 2) == size] for size in sizes}
+    return ", ".join(f"{sum(not _told(t, margin) for t in ts)} of {len(ts)} at {size}" for size, ts in some.items())
+
+
+def _late(trial: Trial, sure: float) -> bool:
+    return abs(trial.delay[0]) >= sure * trial.delay[1]
+
+
+def main() -> None:
+    """Print the trials, then the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("drives", type=Path, nargs="+", help="the drives' folders")
+    parser.add_argument("--as-it-is", action="store_true", help="make nothing wrong")
+    args = parser.parse_args()
+    found: list[Trial] = []
+    for number, path in enumerate(args.drives):
+        drive = open_drive(path)
+        frames = [_in_memory(drive[place]) for place in spread_frames(drive)]
+        print(path, flush=True)
+        found += trials(frames, [NONE] if args.as_it_is else list(cases(number)))
+    print("\n".join(table(found)))
+
+
+def _in_memory(frame: Frame) -> Frame:
+    read = {what: frame.read(what) for what in ("image", "other", "sweep") if frame.has(what)}  # type: ignore[arg-type]
+    return replace(frame, readers={what: lambda offset=0, found=found: found for what, found in read.items()})
+
+
+if __name__ == "__main__":
+    main()
