@@ -322,6 +322,9 @@ def test_only_angles_that_are_sure_are_corrected() -> None:
     assert moved.sure.moved_m == (0.01, 0.0, 0.0)  # the angles were found beside it
     still = replace(moved, correction=replace(moved.correction, delay_s=0.0), errors_deg=(0.3, 0.3, np.inf))
     assert still.sure == NONE
+    small = Measured(Correction((0.09, 0.0, 0.0)), (0.01, 0.01, 0.01), 0.004)
+    assert not small.is_off and small.sure == NONE  # sure, and too small to count
+    assert replace(small, correction=Correction((0.13, 0.0, 0.0))).sure.turn_deg == (0.13, 0.0, 0.0)
 
 
 def test_frames_are_spread_over_the_drive(street: Path) -> None:
@@ -376,6 +379,7 @@ def test_methods_work_as_measured_and_say_what_they_need(
     street: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(measuring, "SURE", 1e-9)  # a right street's angles are not sure, and here they shall count
+    monkeypatch.setattr(measuring, "TURNED_DEG", -1.0)
     drive = open_drive(street)
     found = kept.measured_on(drive, tmp_path / drive.name / "weights").sure
     assert found.size_deg > 0

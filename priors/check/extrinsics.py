@@ -9,12 +9,8 @@ from priors.check.finding import Finding
 from priors.check.sample import Sample
 from priors.errors import DataError
 from priors.extrinsics.measure import FEWEST_FRAMES, measure
-from priors.extrinsics.measured import SURE
 from priors.types import Frame, Input
 
-TURNED_DEG, LATE_S = 0.1, 0.005
-"""A turn and a delay that are larger, by SURE standard errors, are told: 1.3 px at KITTI's focal length, and 7 cm at
-50 km/h."""
 KINDS: tuple[Input, ...] = ("image", "other", "sweep")
 MEND = "--lidar.extrinsics measured corrects it"
 
@@ -29,9 +25,7 @@ def judge_extrinsics(sampled: Sequence[Sample]) -> Iterator[Finding]:
     except DataError as error:
         yield Finding("note", "lidar", f"its turn against the camera is not measured: {error}")
         return
-    turned = measured.correction.size_deg - SURE * measured.error_deg > TURNED_DEG
-    late = abs(measured.correction.delay_s) - SURE * measured.delay_error_s > LATE_S
-    if turned or late:
+    if measured.is_off:
         yield Finding("warning", "lidar", f"against the camera it is {measured}: {MEND}")
     else:
         yield Finding("ok", "lidar", f"against the camera it is {measured}")
