@@ -2,8 +2,8 @@
 
 It was trained on images of KITTI's size and, mostly, its focal length. On larger ones the same thing covers more pixels
 than it has ever seen: at 1600x900 the error is four times that of the same image made as small as KITTI's. On smaller
-ones it covers too few. Two looks, at 0.85 and 0.55 of KITTI's size, cost as much as one at all of it, and their mean is
-a tenth more right (docs/methods/mono.md).
+ones it covers too few. Two looks, at 0.85 and 0.55 of KITTI's size, have as many pixels as one at all of it and take a
+fifth longer; their mean is a tenth more right (docs/methods/mono.md).
 """
 
 import math
