@@ -26,7 +26,7 @@ from priors.bench.judge import judge
 from priors.bench.probe import KINDS, calibrate
 from priors.bench.race import Race
 from priors.bench.results import Bench, Standing, Trial
-from priors.bench.searched import searched
+from priors.bench.searched import searched, usual
 from priors.cache import find
 from priors.drives import open_drive
 from priors.errors import DataError, UsageError
@@ -152,6 +152,16 @@ def test_what_is_searched_is_the_largest_disparity(side: Literal["left", "right"
     found = searched(frame)
     assert found is not None and shift_px <= found * width <= shift_px + 8
     assert searched(replace(frame, readers={"image": lambda: image})) is None
+
+
+def test_a_frame_that_cannot_be_read_is_left_out_of_what_is_usual(own_street: Path) -> None:
+    sound = usual(open_drive(own_street))
+    image = open_drive(own_street)[0].files["image"]()
+    assert sound is not None and image is not None
+    image.write_bytes(b"no image")
+    with pytest.raises(DataError):
+        searched(open_drive(own_street)[0])
+    assert usual(open_drive(own_street)) is not None
 
 
 def test_a_mode_that_nobody_measured_takes_the_one_most_like_it() -> None:

@@ -8,11 +8,10 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 from test_nerf_fit import corridor
-from test_splat_fit import config, psnr
+from test_splat_fit import config, psnr, trained
 
 from nerf import fields
 from nerf.gaussians.appearance import Appearance, changed, unchanged
-from nerf.gaussians.model import SplatModel
 from nerf.harmonics import harmonics
 from nerf.scene import Scene
 
@@ -80,18 +79,9 @@ def exposed(scene: Scene) -> Scene:
     return replace(scene, images=images)
 
 
-def trained(scene: Scene, learns: bool) -> SplatModel:
-    settings = config(120, start_step=3, appearance=learns, virtual_views=0.0)
-    model = fields.family("splat").start(scene, settings, "cpu")
-    assert isinstance(model, SplatModel)
-    for step in range(120):
-        model.train(scene, settings, step, step / 120)
-    return model
-
-
 def test_held_out_views_gain_where_exposure_drifts() -> None:
     scene = exposed(corridor("dense"))
-    learned, plain = trained(scene, True), trained(scene, False)
+    learned, plain = (trained(scene, 120, start_step=3, appearance=learns) for learns in (True, False))
     gain = [psnr(learned, scene, position) - psnr(plain, scene, position) for position in scene.test]
     assert np.mean(gain) > 1
 

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 import torch
 from test_nerf_fit import corridor
-from test_splat_fit import config, psnr
+from test_splat_fit import Killed, config, kill, psnr
 from test_splat_start import off_m
 
 from nerf import checkpoint, fields
-from nerf.fit import Status, fit
+from nerf.fit import fit
 from nerf.gaussians import field_first
 from nerf.gaussians.field_first import FieldFirst, shown_by
 from nerf.gaussians.model import SplatModel
@@ -81,16 +81,6 @@ def test_a_run_that_was_killed_in_either_part_ends_in_the_same_bits(
     monkeypatch.setattr(field_first, "SHARE", 0.3)
     scene, settings = corridor("8", prior=False), config(20, appearance=True)
     whole = fit(scene, settings, tmp_path / "whole")
-
-    class Killed(Exception):
-        pass
-
-    def kill(at: int) -> Any:
-        def on_step(status: Status) -> None:
-            if status.step == at:
-                raise Killed
-
-        return on_step
 
     kinds = []
     for at in (3, 6, 7, 14):

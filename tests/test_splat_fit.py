@@ -1,5 +1,6 @@
 """Fits of Gaussians: they learn, grow within a budget, and resume bit for bit. On a small analytic corridor."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +25,30 @@ from priors.errors import DataError, UsageError
 from priors.geometry import crop
 
 pytestmark = pytest.mark.splats
+
+
+class Killed(Exception):
+    """A fit was stopped at a step."""
+
+
+def kill(at: int) -> Callable[[Status], None]:
+    """Stop a fit at a step."""
+
+    def on_step(status: Status) -> None:
+        if status.step == at:
+            raise Killed
+
+    return on_step
+
+
+def trained(scene: Scene, steps: int, **changes: Any) -> SplatModel:
+    """Train so many steps on frames alone, without what `fit` does around them."""
+    settings = config(steps, virtual_views=0.0, **changes)
+    model = fields.family("splat").start(scene, settings, "cpu")
+    assert isinstance(model, SplatModel)
+    for step in range(steps):
+        model.train(scene, settings, step, step / steps)
+    return model
 
 
 def config(steps: int, losses: LossConfig | None = None, **settings: Any) -> FitConfig:
@@ -68,16 +93,6 @@ def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, monkeypatch: pytest
     monkeypatch.setattr(growth, "EVERY", 5)
     scene, settings = corridor("8"), config(24, degree=1)
     whole = fit(scene, settings, tmp_path / "whole")
-
-    class Killed(Exception):
-        pass
-
-    def kill(at: int) -> Any:
-        def on_step(status: Status) -> None:
-            if status.step == at:
-                raise Killed
-
-        return on_step
 
     for at in (3, 11, 17):
         with pytest.raises(Killed):

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 import torch
 from test_nerf_fit import corridor
-from test_splat_fit import config
+from test_splat_fit import trained
 
-from nerf import fields
-from nerf.gaussians.model import SplatModel
 from nerf.gaussians.movers import counted, unexplained
 from nerf.gaussians.shot import Shot, shot_of
 from nerf.losses import LossConfig
@@ -64,22 +62,13 @@ def test_what_is_a_pixel_off_is_explained() -> None:
     assert unexplained(truth + np.float32(2), truth).min() > 1
 
 
-def trained(scene: Scene, robust: bool) -> SplatModel:
-    settings = config(150, start_step=2, robust=robust, virtual_views=0.0)
-    model = fields.family("splat").start(scene, settings, "cpu")
-    assert isinstance(model, SplatModel)
-    for step in range(150):
-        model.train(scene, settings, step, step / 150)
-    return model
-
-
 def test_the_corridor_is_seen_behind_the_box() -> None:
     """Where a training frame has the box, a render shows more of what is behind it."""
     clean = corridor("dense")
     scene = crossed(clean)
     off = {}
     for robust in (True, False):
-        model = trained(scene, robust)
+        model = trained(scene, 150, start_step=2, robust=robust)
         wrong = []
         for number in scene.train[::4]:
             view = model.render(scene.T_world_cam[number], scene.camera).rgb

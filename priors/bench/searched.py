@@ -1,8 +1,10 @@
 """How far stereo must search on a drive: most of its time grows with the largest disparity."""
 
+from contextlib import suppress
 from statistics import median
 
 from priors.codecs import as_grey
+from priors.errors import DataError
 from priors.pairs.matching import find_max_disparity
 from priors.types import Drive, Frame
 
@@ -22,7 +24,10 @@ def searched(frame: Frame) -> float | None:
 
 
 def usual(drive: Drive) -> float | None:
-    """Return the median of frames that are spread over a drive; None where none has a pair."""
-    step = max(1, len(drive) // FRAMES)
-    found = [share for index in range(0, len(drive), step) if (share := searched(drive[index])) is not None]
-    return median(found) if found else None
+    """Return the median of frames that are spread over a drive; None where none has a pair that can be read."""
+    found = []
+    for index in range(0, len(drive), max(1, len(drive) // FRAMES)):
+        with suppress(DataError):  # the build names the frames that it cannot read
+            found.append(searched(drive[index]))
+    shares = [share for share in found if share is not None]
+    return median(shares) if shares else None

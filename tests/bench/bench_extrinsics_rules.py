@@ -18,13 +18,12 @@ from priors.drives import open_drive
 from priors.extrinsics.correction import NONE, Correction
 from priors.extrinsics.fit import fit_surfaces
 from priors.extrinsics.measure import look, measure, spread_frames
-from priors.extrinsics.measured import Measured
+from priors.extrinsics.measured import TURNED_DEG, Measured
 from priors.types import Frame
 
 TURNS_DEG = (0.15, -0.2, 0.3)
 PLACE_M = (0.01, 0.01, 0.02)
 MARGINS, DELAYS, ANGLES = (1.0, 1.5, 2.0, 2.5, 3.0), (2.0, 2.5, 3.0), (1.0, 2.0, 2.5, 3.0)
-TURNED_DEG = 0.1
 
 
 @dataclass(frozen=True)
