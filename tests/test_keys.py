@@ -51,10 +51,10 @@ KNOWN = {
 }
 PINNED = {
     "completion": "673932937f",
-    "fused": "1a0521d384",
+    "fused": "4a3788b8bf",
     "lidar": "b9b776c9ee",
     "mono": "25645a8c89",
-    "stereo": "a3edb4fd4d",
+    "stereo": "9d0985766d",
 }
 
 

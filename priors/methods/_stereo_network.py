@@ -75,7 +75,7 @@ class NetworkMatcher:
         trust = self.calibration(small_px, sigma_px, doubt)
         if self.choice is not None:
             apart = None if sky is None else _as_small(sky[part], trust)
-            small_px = self.choice((small_px, sigma_px, doubt, trust), apart)
+            small_px = self.choice((small_px, sigma_px, doubt, trust), small_left, apart)
         part_px = np.maximum(small_px, np.float32(LEAST_PX)) * np.float32(scale)
         if halvings:
             size = (left.shape[1], left.shape[0])
