@@ -2,8 +2,8 @@
 
     python tests/bench/bench_render.py RUN [RUN ...] [--size 397x120] [--rounds 3] [--threads 2]
 
-Each run renders poses between those of its drive, as a video does: colour, depth and opacity. The median of all views is
-told; runs take turns, so that a machine that slows down slows all of them.
+Each run renders poses between those of its drive, as a video does: colour, depth and opacity. The median of all views
+is told. Runs take turns, so that a machine that slows down slows all of them.
 """
 
 import argparse
@@ -51,8 +51,8 @@ class Rendered:
         """Say what a view takes."""
         wall, processor = statistics.median(self.wall_s), statistics.median(self.processor_s)
         shape = f"{self.camera.size[1]}x{self.camera.size[0]}"
-        family = self.run.config.fit.model.family
-        return f"{self.run.name}: {family}, {shape}: {1 / wall:.1f} views/s, {processor * 1e3:.1f} ms of processor time a view"
+        took = f"{1 / wall:.1f} views/s, {processor * 1e3:.1f} ms of processor time a view"
+        return f"{self.run.name}: {self.run.config.fit.model.family}, {shape}: {took}"
 
 
 def main() -> None:
