@@ -128,8 +128,12 @@ class TrainingRun:
                 norm.momentum = momentum
 
     def validate(self) -> None:
-        """Measure the average, draw what it sees, keep it if it is the best so far."""
-        self._measure_norms()
+        """Measure the average, draw what it sees, keep it if it is the best so far.
+
+        Weights that a run starts from are measured as they are.
+        """
+        if self.step:
+            self._measure_norms()
         average = self.average.net
         with torch.inference_mode():
             self.validation = self.task.validate(average)
