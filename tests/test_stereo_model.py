@@ -130,7 +130,9 @@ def test_wide_pairs_are_seen_smaller_where_time_counts() -> None:
     left, right = (np.tile(view, (1, 4, 1)[: view.ndim]) for view in pair(12.0))
     depth = fast(frame(left, right))
     assert net.asked[-1] == 96  # 85 px and one more
-    assert np.median(np.abs(FX * BASELINE_M / depth.depth_m - 12)[:, 60:-60]) < 0.2 and finite(depth, (120, 1280))
+    off_px = np.abs(FX * BASELINE_M / depth.depth_m - 12)[:, 60:-60]
+    assert np.median(off_px) <= 0.5 / 0.85, "the stand-in finds whole pixels"
+    assert finite(depth, (120, 1280))
     assert fast.resolve(frame(left, right)).resize == "fast"
     assert fast.resolve(frame(*pair(12.0))).resize == "none"
 
