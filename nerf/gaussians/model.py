@@ -9,7 +9,7 @@ from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
 from nerf.gaussians import growth, movers, normals
-from nerf.gaussians.appearance import Appearance, changed, unchanged
+from nerf.gaussians.appearance import Appearance
 from nerf.gaussians.backdrop import TRAINED, Backdrop
 from nerf.gaussians.config import GaussianConfig
 from nerf.gaussians.growth import Growth
@@ -100,29 +100,28 @@ class SplatModel:
     def _learn(self, shot: Shot, seen: Rasterised, config: FitConfig, at: tuple[int, float]) -> StepResult:
         """Go back from what is seen of a frame, and move the parameters."""
         step, progress = at
-        rgb = self.backdrop.behind(seen, shot.viewpoint, TRAINED)
         change = self._change(shot.viewpoint.T_world_cam)
-        shown = rgb if change is None else changed(rgb, change)
+        shown = self._splat.show(seen, self.backdrop.behind(shot.viewpoint, change, TRAINED))
         if shot.late and self.settings.robust:
-            shot = shot.only(movers.counted(shown, seen.depth_m(OPACITY_FLOOR), shot))
+            shot = shot.only(movers.counted(shown.rgb, seen.depth_m(OPACITY_FLOOR), shot))
         share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
-        colour = self._splat.colour_loss(shown, shot.rgb, share, shot.counts)
+        colour = self._splat.colour_loss(shown.rgb, shot.rgb, share, shot.counts)
         rules = _for_fewer(config.losses, shot.share)
         losses = geometry_losses(rules, shot, seen, config.rays, (config.seed, step))
-        d_rgb = colour.d_rgb if change is None else unchanged(colour.d_rgb, change)
-        losses.d_opacity += self.backdrop.backward(seen, d_rgb)
+        by = self._splat.unshow(seen, shown, colour.d_rgb)
+        losses.d_opacity += by.opacity
         normal = self._normals(shot, seen, losses, step)
-        gradients = self._splat.backward(seen, losses.gradients(d_rgb))
+        gradients = self._splat.backward(seen, losses.gradients(by.rgb))
         if normal is not None:
             normal.add_to(gradients)
-        if self.appearance is not None and shot.frame is not None:
-            rate = config.optimiser.share(step + 1, progress)
-            self.appearance.learn(shot.frame, rgb, colour.d_rgb, rate)
+        if self.appearance is not None and shot.frame is not None and by.change is not None:
+            self.appearance.learn(shot.frame, by.change, config.optimiser.share(step + 1, progress))
         self.growth.observe(gradients)
         rates = rates_at(config.optimiser, step + 1, progress)
         self._splat.adam(self.gaussians, gradients, self.moments, rates, step + 1)
+        self.backdrop.learn(by.texels)
         self._sky.step(config.optimiser, progress)
-        terms = {"rgb": (shown - shot.rgb).square().mean(), **losses.terms}
+        terms = {"rgb": (shown.rgb - shot.rgb).square().mean(), **losses.terms}
         total = losses.total + colour.total
         return StepResult(terms, total, shot.rgb.shape[0] * shot.rgb.shape[1], len(seen.index))
 
@@ -147,8 +146,7 @@ class SplatModel:
         viewpoint = Viewpoint(camera, T_world_cam)
         drawing = replace(self._drawing(), median=True, degree=self.settings.degree)
         seen = self._splat.rasterise(self.gaussians, viewpoint, drawing)
-        rgb, change = self.backdrop.behind(seen, viewpoint), self._change(T_world_cam)
-        rgb = (rgb if change is None else changed(rgb, change)).clamp(0, 1)
+        rgb = self._splat.show(seen, self.backdrop.behind(viewpoint, self._change(T_world_cam))).rgb.clamp(0, 1)
         parts = (rgb, seen.depth_m(OPACITY_FLOOR), seen.median_m, seen.opacity)
         return RenderedView(*(part.cpu().numpy() for part in parts))
 

@@ -71,11 +71,19 @@ class Directions:
 
     def __call__(self, viewpoint: Viewpoint, flat: Tensor) -> Tensor:
         """Return unit directions (r, 3) in the scene's frame through pixels (r,), row * width + column."""
-        key = viewpoint.camera.K.tobytes(), viewpoint.camera.size
-        if key != self._key or self._units.device != flat.device:
-            self._key, self._units = key, torch.from_numpy(_units(viewpoint.camera)).to(flat.device)
-        rotation = torch.from_numpy(viewpoint.T_world_cam[:3, :3].astype(np.float32)).to(flat.device)
-        return self._units[flat] @ rotation.T
+        return self.of(viewpoint.camera, flat.device)[flat] @ rotation_of(viewpoint, flat.device).T
+
+    def of(self, camera: Camera, device: torch.device) -> Tensor:
+        """Return unit directions (h * w, 3) through all pixels, in the camera's frame."""
+        key = camera.K.tobytes(), camera.size
+        if key != self._key or self._units.device != device:
+            self._key, self._units = key, torch.from_numpy(_units(camera)).to(device)
+        return self._units
+
+
+def rotation_of(viewpoint: Viewpoint, device: torch.device) -> Tensor:
+    """Return the rotation (3, 3) from a camera's frame to the scene's."""
+    return torch.from_numpy(viewpoint.T_world_cam[:3, :3].astype(np.float32)).to(device)
 
 
 def _units(camera: Camera) -> npt.NDArray[np.float32]:

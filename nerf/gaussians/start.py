@@ -27,8 +27,8 @@ SURE = 0.1
 """Trust from which on a value is taken in the first pass."""
 NEIGHBOURS = 4
 """Frames that are asked whether they look through a place."""
-KEPT = 16
-"""Frames that are kept prepared."""
+KEPT_BYTES = 256 << 20
+"""Prepared frames of so many bytes are kept: the passes need each three times."""
 CELLS = 30_000
 """Cells of a frame, about, where nobody says how fine the start is."""
 LEAST_STEP = 2
@@ -108,7 +108,7 @@ class _Start:
     def _look(self, position: int) -> Look:
         if position not in self._looks:
             self._looks[position] = look_at(self.scene, position)
-            if len(self._looks) > KEPT:
+            while len(self._looks) > max(NEIGHBOURS + 1, KEPT_BYTES // self._looks[position].nbytes):
                 self._looks.popitem(last=False)
         self._looks.move_to_end(position)
         return self._looks[position]
