@@ -13,7 +13,7 @@ MOST = 20_000_000
 
 @dataclass(frozen=True)
 class GaussianConfig:
-    """What a field of Gaussians is trained by; other fields read none of it."""
+    """What a field of Gaussians is trained by; hash fields read `appearance` alone."""
 
     most_gaussians: int = 400_000
     """How many Gaussians there are at most."""
