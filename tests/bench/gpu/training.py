@@ -31,7 +31,7 @@ from priors.machine import threads
 from priors.nets import runtime, weights
 from tests.bench.gpu.parts import note
 
-ENDING_S = 15.0
+ENDING_S = 20.0
 """What a network needs besides training: reading its crops, the last validation, writing."""
 LEAST_S = 2.0
 
