@@ -5,6 +5,7 @@ import numpy.typing as npt
 
 from nerf.gaussians.look import FARTHEST_M, Look
 from priors.geometry import invert, project, transform
+from priors.machine import threads
 from priors.types import Camera, Matrix
 
 Floats = npt.NDArray[np.float32]
@@ -46,8 +47,9 @@ class Cover:
         T_cam_world = invert(look.T_world_cam)
         projection = np.ascontiguousarray(look.camera.K @ T_cam_world[:3])
         if self._balls:
-            for block in np.flatnonzero(_may_see(look.camera, T_cam_world, np.stack(self._balls))):
-                cover(self._blocks[block], projection, found, step, SAME)
+            may = np.flatnonzero(_may_see(look.camera, T_cam_world, np.stack(self._balls)))
+            # threads may write to one cell at once, and they write the same
+            threads.run(len(may), lambda task: cover(self._blocks[may[task]], projection, found, step, SAME))
         return found.filled > 0, found.covered > 0
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
-from nerf.gaussians import growth, movers, normals
+from nerf.gaussians import growth, normals
 from nerf.gaussians.appearance import Appearance
 from nerf.gaussians.backdrop import TRAINED, Backdrop
 from nerf.gaussians.config import GaussianConfig
@@ -17,7 +17,7 @@ from nerf.gaussians.losses import ViewLosses, geometry_losses
 from nerf.gaussians.normals import Consistency
 from nerf.gaussians.rates import rates_at
 from nerf.gaussians.shell import shell_of
-from nerf.gaussians.shot import Shot, position_at, shot_of
+from nerf.gaussians.shot import Shot, Shots, position_at
 from nerf.gaussians.types import Drawing, Gaussians, Rasterised, SplatMoments, Viewpoint
 from nerf.gaussians.virtual import VirtualViews, is_virtual
 from nerf.kernels import kernels_for
@@ -53,6 +53,7 @@ class SplatModel:
         self._sky = Optimiser({f"sky.{name}": x for name, x in self.backdrop.sky.parameters().items()})
         self._splat = kernels_for(self.device).splat
         self._virtual: VirtualViews | None = None
+        self._shots = Shots()
         self.appearance: Appearance | None = None
         """What is learned of each training frame's colours; None: nothing."""
 
@@ -80,8 +81,9 @@ class SplatModel:
         between = int(later * share)
         if self._virtual is not None and is_virtual(later, share):
             return self._virtual.shot(config.seed, between)
-        shot = shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
-        return replace(shot, share=1 - share, late=step >= movers.LAPS * len(scene.train))
+        position = position_at(scene.train, config.seed, step - between)
+        shot = self._shots(scene, position, config.losses, self.device)
+        return replace(shot, share=1 - share)
 
     def _virtual_share(self, scene: Scene, step: int, progress: float) -> float:
         """Return which share of the steps learns from virtual views now; without a prior none does."""
@@ -102,8 +104,6 @@ class SplatModel:
         step, progress = at
         change = self._change(shot.viewpoint.T_world_cam)
         shown = self._splat.show(seen, self.backdrop.behind(shot.viewpoint, change, TRAINED))
-        if shot.late and self.settings.robust:
-            shot = shot.only(movers.counted(shown.rgb, seen.depth_m(OPACITY_FLOOR), shot))
         share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
         colour = self._splat.colour_loss(shown.rgb, shot.rgb, share, shot.counts)
         rules = _for_fewer(config.losses, shot.share)
@@ -121,7 +121,7 @@ class SplatModel:
         self._splat.adam(self.gaussians, gradients, self.moments, rates, step + 1)
         self.backdrop.learn(by.texels)
         self._sky.step(config.optimiser, progress)
-        terms = {"rgb": (shown.rgb - shot.rgb).square().mean(), **losses.terms}
+        terms = {"rgb": torch.nn.functional.mse_loss(shown.rgb, shot.rgb), **losses.terms}
         total = losses.total + colour.total
         return StepResult(terms, total, shot.rgb.shape[0] * shot.rgb.shape[1], len(seen.index))
 
