@@ -51,10 +51,10 @@ KNOWN = {
 }
 PINNED = {
     "completion": "673932937f",
-    "fused": "4a3788b8bf",
+    "fused": "4ce05853b2",
     "lidar": "b9b776c9ee",
     "mono": "25645a8c89",
-    "stereo": "9d0985766d",
+    "stereo": "ee04e6bc5c",
 }
 
 
