@@ -1,10 +1,12 @@
-"""Sky mask from the image alone: a small convolutional network, then a filter that follows the image's own edges.
+"""Sky mask from the image alone: a small network, the colours around, and a filter along the image's own edges.
 
 1. The image is averaged to at most 60,000 pixels and made as bright as day.
 2. The network (kernels/sky_net.py) says at half that size how sure it is of sky. It knows walls, trees and clouds by
    what they look like, not by their colour alone.
-3. At full resolution a guided filter (He, Sun, "Fast Guided Filter", 2015) fits the answer to colour edges, so that
-   poles and branches stay out of the sky.
+3. Thin things before the sky (poles, wires, branches) are too small for it: what has not the colour of the sky
+   around it, but that of what is no sky, is doubted.
+4. At full resolution a guided filter (He, Sun, "Fast Guided Filter", 2015) fits the answer to colour edges, so that
+   the mask ends where things do.
 
 The weights lie in weights/sky.npz; `python -m priors.learn.fit_sky` trained them, weights/sky.md says on what.
 """
@@ -27,6 +29,14 @@ MOST_PIXELS = 60_000
 """Most pixels that the network sees."""
 DARKEST = 0.2
 """A darker bright end is taken for this: a black image stays black."""
+BIAS = np.float32(1)
+"""Added to the network's logits: on recordings left out it misses more sky than it invents."""
+AROUND = 15
+"""Side of the window, blocks, whose colours a block is compared with."""
+COLOUR_DEVIATION, USUAL_DISTANCE = 0.1, 0.2
+"""Deviation of a surface's colour, and what distance to another one is taken for usual where there is none around."""
+MOST_DOUBT, LEAST_SHARE = 6, 0.05
+"""Largest doubt, a logit; share of a window below which the colour of its sky, or of its rest, counts less."""
 WEIGHTS = Path(__file__).parent / "weights" / "sky.npz"
 SATURATED = np.float32(12)
 """Largest logit beyond which more makes no difference."""
@@ -57,8 +67,10 @@ def find_sky(image: Image, layers: Layers) -> Mask:
         return np.zeros(image.shape[:2], dtype=np.bool_)
     image = np.ascontiguousarray(as_rgb(image))
     side = pixel_side(image.shape[0], image.shape[1])
-    logit = forward(brighten(kernels.shrink(image, side)), layers)
-    return kernels.apply_linear(image, guided_model(kernels.shrink(image, 2 * side), sigmoid(logit)), 2 * side)
+    logit = forward(brighten(kernels.shrink(image, side)), layers) + BIAS
+    colour = kernels.shrink(image, 2 * side)
+    target = sigmoid(logit - doubt_of_colour(brighten(colour), sigmoid(logit)))
+    return kernels.apply_linear(image, guided_model(colour, target), 2 * side)
 
 
 def doubt(depth: Depth, sky: Mask) -> Depth:
@@ -118,6 +130,29 @@ def pair_layers(arrays: dict[str, Floats]) -> Layers:
 def sigmoid(logit: FloatMap) -> FloatMap:
     """Turn logits into probabilities."""
     return np.float32(1) / (np.float32(1) + np.exp(-np.clip(logit, -SATURATED, SATURATED)))
+
+
+def doubt_of_colour(colour: Floats, sky: FloatMap) -> FloatMap:
+    """Return how much less each block looks like the sky around it than like the rest around it: a logit, 0 or more.
+
+    Log likelihoods of two Gaussians around the local means, cut to 0 .. MOST_DOUBT: looks alone make nothing sky, since
+    white walls look like it.
+
+    Args:
+        colour: (height, width, 3), brightened.
+        sky: (height, width) probability of sky.
+    """
+    to_sky, to_rest = (distance_to(colour, weight * weight) for weight in (sky, 1 - sky))
+    return np.clip((to_sky - to_rest) / np.float32(2 * COLOUR_DEVIATION**2), 0, MOST_DOUBT)
+
+
+def distance_to(colour: Floats, weight: FloatMap) -> FloatMap:
+    """Return the squared distance of each block's colour to the weighted mean around it."""
+    share = blur(weight, AROUND)
+    mean = blur(colour * weight[..., None], AROUND) / (share[..., None] + np.float32(1e-6))
+    trust = np.minimum(share / np.float32(LEAST_SHARE), 1)
+    red, green, blue = np.moveaxis(colour - mean, 2, 0)
+    return trust * (red * red + green * green + blue * blue) + (1 - trust) * np.float32(USUAL_DISTANCE**2)
 
 
 def guided_model(colour: Floats, target: FloatMap, side: int = 5, smoothing: float = 1e-3) -> Floats:

@@ -78,9 +78,11 @@ CHANGED = ("stereo", "mono")
 
 @pytest.fixture
 def as_then(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let methods have the version of then."""
+    """Let methods and the sky mask have the version of then."""
     for name in CHANGED:
         monkeypatch.setattr(methods.config_type(name), "VERSION", 1)
+    monkeypatch.setattr("priors.build.prepare.SKY_VERSION", 1)
+    monkeypatch.setattr("priors.sky.VERSION", 1)
 
 
 def with_its_weights(monkeypatch: pytest.MonkeyPatch, made: cache.Prior) -> None:

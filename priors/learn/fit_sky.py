@@ -37,17 +37,7 @@ from priors.types import FloatMap, Image, Mask
 
 SHAPES = ((144, 256), (176, 208), (112, 320))
 """Heights and widths of views."""
-SHARES = {
-    "street": 0.7,
-    "06": 0.4,
-    "01": 0.3,
-    "image_02": 0.4,
-    "kitti2015": 1.5,
-    "drive0009": 0.3,
-    "06 matched": 0.3,
-    "01 matched": 0.2,
-    "slow scanned": 0.2,
-}
+SHARES = {"street": 0.7, "06": 0.5, "01": 0.4, "image_02": 0.4, "kitti2015": 1.5, "drive0009": 0.3}
 """How often a place is drawn from, where not once: it has few images."""
 
 
@@ -63,6 +53,8 @@ class SkyFit:
     """Folders written by `priors street`."""
     teachers: tuple[Path, ...] = ()
     """Folders of runs that label KITTI frames; none: these are not learned from."""
+    start: Path | None = None
+    """Folder of a run whose best network this one starts from; none: from ImageNet's weights."""
     weights: Path | None = None
     """Where the finished network's weights go; none: they stay in the run's folder."""
     how: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
@@ -74,7 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
     samples = [*read_labelled(fit.data, fit.streets)]
     if fit.teachers:
         samples += read_evidence(fit.data, average([read_run(run) for run in fit.teachers]))
-    task = SkyTask(samples, list(read_camvid(fit.data / "camvid", "val")))
+    task = SkyTask(samples, list(read_camvid(fit.data / "camvid", "val")), start=fit.start)
     print(train(task, fit.out, fit.how, on_step=tell))
     if fit.weights is not None:
         write(fit.weights, read_run(fit.out))
@@ -99,7 +91,7 @@ def average(runs: Sequence[sky.Layers]) -> Labeller:
 
     def see(image: Image) -> FloatMap:
         colour = sky.shrink_to_see(image)
-        logit = sum((forward(colour, layers) for layers in runs), start=np.float32(0)) / np.float32(len(runs))
+        logit = np.mean([forward(colour, layers) for layers in runs], axis=0)
         return np.asarray(cv2.resize(logit, (image.shape[1], image.shape[0])), np.float32)
 
     return see
@@ -136,12 +128,17 @@ class SkyTask:
     judged: Sequence[SkySample]
     """Images to validate on."""
     batch_size: int = 8
+    start: Path | None = None
+    """Folder of a run to start from; none: from ImageNet's weights."""
     net: nn.Module = field(init=False)
 
     def __post_init__(self) -> None:
         torch.manual_seed(0)
-        net = self.net = SkyNet()
-        net.take_imagenet()
+        self.net = SkyNet()
+        if self.start is None:
+            self.net.take_imagenet()
+        else:
+            self.net.load_state_dict(load(self.start / checkpoint.BEST).tensors)
         self._places = sorted({sample.place for sample in self.samples})
         if not self._places:
             raise DataError("sky: no labelled image to learn from: name a folder that holds some by --data")
@@ -156,8 +153,11 @@ class SkyTask:
         for _ in range(self.batch_size):
             there = self._of[self._places[rng.choice(len(self._places), p=self._shares)]]
             views.append(draw_view(there[rng.integers(len(there))], size, rng))
-        images = np.stack([sky.brighten(np.float32(image) / 255) for image, _ in views])
-        return {"image": torch.from_numpy(images).permute(0, 3, 1, 2), "label": torch.from_numpy(np.stack([label for _, label in views]))}
+        images = np.stack([sky.brighten(image.astype(np.float32) / np.float32(255)) for image, _ in views])
+        return {
+            "image": torch.from_numpy(images).permute(0, 3, 1, 2),
+            "label": torch.from_numpy(np.stack([label for _, label in views])),
+        }
 
     def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
         """Return cross-entropy and the soft intersection over union (Rahman and Wang, 2016), over known pixels."""

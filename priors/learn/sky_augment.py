@@ -9,6 +9,7 @@ from priors.adapt.augment import Augmentation, draw, to_light
 from priors.adapt.camera_response import LUMA, Floats
 from priors.adapt.distributions import Effect, LogUniform, Uniform
 from priors.codecs import as_rgb
+from priors.learn.sky_branches import grow_trees
 from priors.learn.sky_labels import SKY, UNKNOWN, SkySample
 from priors.sky import pixel_side
 from priors.types import FloatMap, Image
@@ -26,6 +27,8 @@ PHOTOMETRIC = Augmentation(
     noise=Effect(0.5, Uniform(0, 0.02)),
 )
 """Ranges that act on light, not on levels."""
+BARE = 0.35
+"""Probability of bare trees."""
 ZOOM = LogUniform(0.75, 1.35)
 """Size of a window against what the mask sees of an image."""
 
@@ -45,10 +48,15 @@ def draw_view(sample: SkySample, size: tuple[int, int], rng: np.random.Generator
     image, label = sample.image[window], sample.label[window]
     if rng.random() < 0.5:
         image, label = image[:, ::-1], label[:, ::-1]
+    if rng.random() < BARE:
+        image, label = grow_trees(image, label, rng)
     whole, half = (size[1], size[0]), (size[1] // 2, size[0] // 2)
-    image = cv2.resize(np.ascontiguousarray(image), whole, interpolation=cv2.INTER_AREA)
-    shares = [cv2.resize(np.float32(mask), half, interpolation=cv2.INTER_AREA) for mask in (label == SKY, label != UNKNOWN)]
-    sky = cv2.resize(shares[0], whole, interpolation=cv2.INTER_LINEAR)
+    image = np.asarray(cv2.resize(np.ascontiguousarray(image), whole, interpolation=cv2.INTER_AREA), np.uint8)
+    shares = [
+        np.asarray(cv2.resize(mask.astype(np.float32), half, interpolation=cv2.INTER_AREA), np.float32)
+        for mask in (label == SKY, label != UNKNOWN)
+    ]
+    sky = np.asarray(cv2.resize(shares[0], whole, interpolation=cv2.INTER_LINEAR), np.float32)
     return as_rgb(augment(image, sky, rng)), np.stack(shares)
 
 
@@ -74,7 +82,7 @@ def augment(image: Image, sky: FloatMap, rng: np.random.Generator) -> Image:
     light = to_light(as_rgb(image), DISPLAY_GAMMA)
     if rng.random() < 0.5:
         light = change_sky(light, sky, rng)
-    if rng.random() < 0.4:
+    if rng.random() < 0.25:
         light = light_walls(light, sky, rng)
     ranges = PHOTOMETRIC if image.ndim == 3 else replace(PHOTOMETRIC, white_balance=None, saturation=None)
     return draw(rng, ranges, channels=3).shoot(light, rng)
@@ -98,5 +106,5 @@ def light_walls(light: Floats, sky: FloatMap, rng: np.random.Generator) -> Float
     amount = lit * (1 - sky[..., None])
     grey = light @ LUMA
     pale = rng.uniform(0, 0.8)
-    walls = (light + pale * (grey[..., None] - light)) * np.exp(rng.uniform(0.3, 2.2))
+    walls = (light + pale * (grey[..., None] - light)) * np.exp(rng.uniform(0.2, 1.8))
     return np.asarray(light + amount * (walls - light), np.float32)

@@ -26,10 +26,14 @@ NEAR_PX, FAR_PX = 5.0, 3.0
 """A match of a larger disparity is a surface; around one larger than FAR_PX nothing is called sky."""
 CALM_PX = 1.5
 """A match may differ so much from those around it."""
+TEXTURED, TEXTURE_PX = 5.0, 9
+"""Deviation of grey in a window of that side, above which a match is believed: blank skies match anything."""
 SURE = 1.5
 """Logit beyond which the labellers are believed where nothing was measured."""
 AROUND_PX = 9
 """Side of the window around a match or a point."""
+INSIDE_PX = 25
+"""Where the labellers see sky, a surface fills a window of that side: a wire's match spreads into the sky."""
 LOWEST_SKY = 0.62
 """Below this share of the height there is no sky in front of a car."""
 STEPS = {"kitti2015": 1, "drive0009": 3}
@@ -54,10 +58,10 @@ def training_frames(data: Path) -> Iterator[tuple[str, Frame]]:
         yield from ((source, frame) for frame in frames[:: STEPS[source]])
     for sequence in ODOMETRY if (data / "kitti_odometry").is_dir() else ():
         drive = drives.open_drive(data / "kitti_odometry", options=DriveOptions(drive=sequence))
-        yield from ((f"{sequence} matched", drive[at]) for at in range(ODOMETRY_STEP // 2, len(drive), ODOMETRY_STEP))
+        yield from ((sequence, drive[at]) for at in range(ODOMETRY_STEP // 2, len(drive), ODOMETRY_STEP))
     if (data / SLOW).is_dir():
         slow = drives.open_drive(data / SLOW)
-        yield from (("slow scanned", slow[at]) for at in range(SLOW_STEP // 2, len(slow), SLOW_STEP))
+        yield from (("image_02", slow[at]) for at in range(SLOW_STEP // 2, len(slow), SLOW_STEP))
 
 
 def measure(frame: Frame) -> tuple[FloatMap, Mask]:
@@ -68,10 +72,17 @@ def measure(frame: Frame) -> tuple[FloatMap, Mask]:
         pair = read_pair(frame)
         found_px = quick_match(pair.left, pair.right)
         smooth_px, _ = diffuse(found_px, as_grey(pair.left))
-        matched_px = np.where(np.abs(found_px - smooth_px) < CALM_PX, found_px, np.float32(0))
+        calm = (np.abs(found_px - smooth_px) < CALM_PX) & (texture(as_grey(pair.left)) > TEXTURED)
+        matched_px = np.where(calm, found_px, np.float32(0))
     if frame.has("sweep"):
         hit = Lidar(sweeps=1)(frame).depth_m > 0
     return matched_px, hit
+
+
+def texture(grey: Image) -> FloatMap:
+    """Return the standard deviation of grey (height, width) around each pixel."""
+    values, window = grey.astype(np.float32), (TEXTURE_PX, TEXTURE_PX)
+    return np.sqrt(np.maximum(cv2.blur(values * values, window) - cv2.blur(values, window) ** 2, 0))
 
 
 def label(logit: FloatMap, matched_px: FloatMap, hit: Mask) -> FloatMap:
@@ -89,5 +100,8 @@ def label(logit: FloatMap, matched_px: FloatMap, hit: Mask) -> FloatMap:
     piece = (logit > 0).astype(np.uint8)
     far = reaching_far(piece, matched_px) > 0 if matched_px.any() else piece > 0
     sky = (logit > SURE) & far & ~close & ~near & ~low
-    rest = near | low | (logit < -SURE)
+    inside = cv2.erode(
+        cv2.morphologyEx(near.astype(np.uint8), cv2.MORPH_CLOSE, around), np.ones((INSIDE_PX, INSIDE_PX))
+    )
+    rest = (near & (logit < 0)) | (inside > 0) | low | (logit < -SURE)
     return np.where(sky, SKY, np.where(rest, REST, UNKNOWN)).astype(np.float32)

@@ -13,6 +13,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
+from priors.nets.blocks import conv_of
 from priors.nets.mobile import FIRST, STAGES, Inverted, imagenet_file, layer
 from priors.nets.weights import under
 
@@ -72,17 +73,18 @@ class SkyNet(nn.Module):
             block.take(under(theirs, f"_blocks.{number}."))
 
 
-def fold(net: SkyNet) -> dict[str, np.ndarray]:
+def fold(net: nn.Module) -> dict[str, np.ndarray]:
     """Return a network's layers as `priors/kernels/sky_net.py` takes them, normalisations folded: name.w and name.b."""
     arrays: dict[str, np.ndarray] = {}
     for name, module in net.named_modules():
-        if isinstance(module, nn.Sequential) and len(module) >= 2 and isinstance(module[0], nn.Conv2d):
-            convolution = fuse_conv_bn_eval(module[0], module[1])
+        convolution: nn.Module
+        if isinstance(module, nn.Sequential) and isinstance(norm := module[1], nn.BatchNorm2d):
+            convolution = fuse_conv_bn_eval(conv_of(module), norm)
         elif isinstance(module, nn.Linear) or name == "last":
             convolution = module
         else:
             continue
-        weight, bias = convolution.weight.detach(), convolution.bias.detach()
+        weight, bias = convolution.get_parameter("weight").detach(), convolution.get_parameter("bias").detach()
         if name == "stem" or weight.shape[1] > 1 or weight.dim() == 2:
             weight = weight.reshape(len(weight), -1).T
         else:
