@@ -8,12 +8,14 @@ SITE_VENV ?= $(VENV)-site
 CLUSTER_VENV ?= $(VENV)-cluster
 DEMO ?= demo
 DATA ?= ../shared/data/kitti_raw_397x120
+REAL ?= ../shared/data
+SAMPLES ?= samples
 DEVICE ?= cuda
 INSTALL := -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 PIP := $(BIN)/python $(INSTALL)
 
 .DEFAULT_GOAL := help
-.PHONY: help fix cov demo test modes slow browser site splats datasets stress networks parsers mesh cluster properties lint types bench gpu gpu-pack clean
+.PHONY: help fix cov demo test modes slow browser site splats datasets stress networks parsers mesh cluster properties lint types bench gpu gpu-pack gpu-crops clean
 
 $(VENV)/.installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -130,7 +132,10 @@ bench: $(VENV)/.dev  ## interleaved timings and errors against named peers; see 
 gpu-pack: $(VENV)/.dev  ## what a borrowed GPU needs, in one small folder; nothing where the data is missing
 	if [ -d "$(DATA)" ]; then $(BIN)/python tests/bench/gpu --make-pack --data "$(DATA)"; fi
 
-gpu: gpu-pack  ## what a borrowed GPU is asked: docs/gpu.md; DEVICE=cpu BUDGET=150 rehearses it
+gpu-crops: $(VENV)/.dev  ## what training on a borrowed GPU needs, 36 MiB; SAMPLES names the folder of `priors train samples`
+	if [ -d "$(SAMPLES)" ]; then $(BIN)/priors train pack-crops gpu-crops --street "$(SAMPLES)" --real "$(REAL)" --mib 36; fi
+
+gpu: gpu-pack gpu-crops  ## what a borrowed GPU is asked: docs/gpu.md; DEVICE=cpu BUDGET=150 rehearses it
 	$(BIN)/python tests/bench/gpu --device $(DEVICE) $(if $(BUDGET),--budget $(BUDGET)) $(if $(PARTS),--parts $(PARTS))
 
 clean:  ## remove the environments and the demo

@@ -23,13 +23,15 @@ class OptimiserConfig:
     """Rate of the sky's texels."""
     alignment: float = 5e-3
     """Rate of what `--align learn` learns of a prior."""
+    appearance: float = 5e-3
+    """Rate of what is learned of each training frame's colours."""
     warm_up: int = 20
     """Steps over which the rates rise from nothing."""
     final: float = 1 / 30
     """What is left of the rates at the end; they fall along half a cosine."""
 
     def __post_init__(self) -> None:
-        for name in ("grid", "network", "sky", "alignment"):
+        for name in ("grid", "network", "sky", "alignment", "appearance"):
             rate = getattr(self, name)
             expect(0 <= rate < math.inf, f"rate {name}", rate, "0 or more")
         expect(self.warm_up >= 0, "warm_up", self.warm_up, "0 steps or more")
@@ -37,8 +39,10 @@ class OptimiserConfig:
 
     def top(self, name: str) -> float:
         """Return the largest rate of a parameter: "sky.b" has the sky's, "a.grid" the grids', else the networks'."""
-        if name.startswith(("sky.", "alignment.")):
-            return self.sky if name.startswith("sky.") else self.alignment
+        for part in ("sky", "alignment", "appearance"):
+            if name.startswith(f"{part}."):
+                rate: float = getattr(self, part)
+                return rate
         return self.grid if name.endswith("grid") else self.network
 
     def share(self, step: int, progress: float) -> float:

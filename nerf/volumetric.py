@@ -5,7 +5,7 @@ proposals say; field, renderer and losses are the same for all.
 """
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, ClassVar, Protocol
 
 import numpy as np
@@ -13,17 +13,18 @@ import torch
 from torch import Tensor
 
 from nerf import roulette
-from nerf.alignment import Alignment
 from nerf.config import MOST_CELLS, FitConfig, ModelConfig
-from nerf.converged import Converged
 from nerf.field import Field, FieldConfig
+from nerf.gaussians.config import GaussianConfig
 from nerf.kernels import kernels_for
+from nerf.learned import Learned
 from nerf.losses import LossConfig, Losses, losses, prior_weight
 from nerf.mlp import MLPConfig
 from nerf.model import StepResult
 from nerf.occupancy import Occupancy
 from nerf.optimise import Optimiser
 from nerf.proposals import Proposals, Round
+from nerf.ray_appearance import numbers
 from nerf.roulette import Wheel
 from nerf.sample import Sampler
 from nerf.scene import Pixels, Scene, view_rays
@@ -63,7 +64,9 @@ class VolumetricFamily:
     distortion: float = 1.0
     """How much more the distortion loss weighs than usual."""
 
-    unread: ClassVar[tuple[str, ...]] = ("model.gaussians",)
+    unread: ClassVar[tuple[str, ...]] = tuple(
+        f"model.gaussians.{setting.name}" for setting in fields(GaussianConfig) if setting.name != "appearance"
+    )
     aligns: ClassVar[bool] = True
     """A prior's scales and shifts can be learned with the field."""
     shares: ClassVar[bool] = True
@@ -77,18 +80,20 @@ class VolumetricFamily:
             occupancy = Occupancy.carve(space, scene, trust=sampler.trust, device=device)
         else:
             occupancy = Occupancy(space, device=device)
-        return self._around(occupancy, scene, config)
+        return self._around(occupancy, scene, config, config.model.gaussians.appearance)
 
     def go_on(self, scene: Scene, config: FitConfig, record: dict[str, Any], device: str) -> "VolumetricModel":
-        """Make a model in a checkpoint's own space, which an earlier version may have laid otherwise."""
-        return self._around(Occupancy(restore(Space, record["space"]), device=device), scene, config)
+        """Make a model in a checkpoint's own space, which an earlier version may have laid otherwise.
 
-    def _around(self, occupancy: Occupancy, scene: Scene, config: FitConfig) -> "VolumetricModel":
+        It learns the frames' colours only where the checkpoint's does.
+        """
+        occupancy = Occupancy(restore(Space, record["space"]), device=device)
+        return self._around(occupancy, scene, config, record.get("appearance", False))
+
+    def _around(self, occupancy: Occupancy, scene: Scene, config: FitConfig, appearance: bool) -> "VolumetricModel":
         """Make a model around an occupancy grid."""
-        converged = Converged.of(scene) if config.model.sampler.roulette_rays < 1 else None
-        learns = config.align == "learn" and scene.depth_m is not None
-        alignment = Alignment(len(scene.ids), scene.train, occupancy.kept.device) if learns else None
-        return VolumetricModel(config.model, self, occupancy, config.seed, converged, alignment)
+        learned = Learned.of(scene, config, occupancy.kept.device, appearance)
+        return VolumetricModel(config.model, self, occupancy, config.seed, learned)
 
     def open(
         self, config: ModelConfig, record: dict[str, Any], state: dict[str, Tensor], device: str
@@ -96,7 +101,7 @@ class VolumetricFamily:
         """Make a model again of what a checkpoint holds."""
         space = restore(Space, record["space"])
         occupancy = Occupancy(space, state["occupancy.kept"].shape[-1], device)
-        model = VolumetricModel(config, self, occupancy, alignment=Alignment.like(under("model.alignment", state)))
+        model = VolumetricModel(config, self, occupancy, learned=Learned.like(state, occupancy.kept.device))
         model.load(state)
         return model
 
@@ -110,15 +115,11 @@ class VolumetricModel:
         family: VolumetricFamily,
         occupancy: Occupancy,
         seed: int = 0,
-        converged: Converged | None = None,
-        alignment: Alignment | None = None,
+        learned: Learned | None = None,
     ) -> None:
-        """Make a model that is a thin, even fog, on the occupancy grid's device.
-
-        `converged`: what is known of the training images' losses; None: all rays are trained on. `alignment`: what is
-        learned of the prior; None: it stays as it is.
-        """
-        self.converged, self.alignment = converged, alignment
+        """Make a model that is a thin, even fog, on the occupancy grid's device."""
+        self.learned = learned = learned or Learned()
+        self.converged, self.alignment, self.appearance = learned.converged, learned.alignment, learned.appearance
         self.config, self.family, self.occupancy = config, family, occupancy
         self.space, self.device = occupancy.space, occupancy.kept.device
         finest = min(round(config.finest * self.space.detail), MOST_CELLS)
@@ -139,12 +140,13 @@ class VolumetricModel:
         if self.converged is not None:
             pixels, share = self.converged.spin(pixels, self.config.sampler.roulette_rays, key)
         rays = replace(scene.rays(*pixels), share=share).to(self.device)
+        which = None if self.appearance is None else numbers(scene, pixels.frame).to(self.device)
         rules = replace(config.losses, distortion=config.losses.distortion * self.family.distortion)
         aligned = rays
         if self.alignment is not None:
             frame = torch.from_numpy(pixels.frame).to(self.device)
             aligned = self.alignment.applied(frame, rays)
-        batch = self.backward(aligned, rules, key, progress)
+        batch = self.backward(aligned, rules, key, progress, which)
         if self.alignment is not None:
             self.alignment.learn(frame, rays, prior_weight(rules, rays), batch.rendered)
         if self.converged is not None:
@@ -155,14 +157,23 @@ class VolumetricModel:
             self.occupancy.update(self.field.density, key)
         return StepResult(batch.terms, batch.total, len(rays) * world.size, sum(world.counts(batch.samples)))
 
-    def backward(self, rays: Rays, config: LossConfig, key: Key, progress: float) -> Losses:
-        """Go forward and back with a batch; gradients are left in the parameters' `.grad`."""
+    def backward(
+        self, rays: Rays, config: LossConfig, key: Key, progress: float, which: Tensor | None = None
+    ) -> Losses:
+        """Go forward and back with a batch; gradients are left in the parameters' `.grad`.
+
+        which (r,): numbers of the rays' training frames, for their appearance; None: the colours are as they are.
+        """
         samples, rounds = self._sample(rays, key, progress)
         units = rays.units
         sigma, rgb = self.field.forward(samples, units, self._footprint(rays, samples))
         sky = self.sky.forward(units)
         rendered = self._renderer.forward(samples, sigma, rgb, sky)
-        batch = losses(config, samples, rays, sigma, rendered)
+        if self.appearance is None or which is None:
+            batch = losses(config, samples, rays, sigma, rendered)
+        else:
+            batch = losses(config, samples, rays, sigma, self.appearance.seen(rendered, which))
+            self.appearance.backward(rendered.rgb, which, batch.gradients)
         d_sigma, d_rgb, d_sky = self._renderer.backward(samples, sigma, rgb, sky, rendered, batch.gradients)
         self._learn(samples, sigma, (d_sigma, d_rgb), key)
         self.sky.backward(d_sky)
@@ -192,6 +203,8 @@ class VolumetricModel:
         """Render a view, in pieces that fit into memory."""
         rays = view_rays(camera, T_world_cam).to(self.device)
         pieces = self._pieces([_part(rays, first) for first in range(0, len(rays), RENDER_RAYS)])
+        if self.appearance is not None:
+            pieces = [replace(each, rgb=self.appearance.at(each.rgb, T_world_cam).clamp(0, 1)) for each in pieces]
         height, width = camera.size
 
         def whole(name: str) -> np.ndarray:
@@ -222,27 +235,23 @@ class VolumetricModel:
     def parameters(self) -> dict[str, Tensor]:
         """Return the trainable tensors by name."""
         parts: dict[str, Trainable] = {"field": self.field, "sky": self.sky, **self.proposals.named()}
-        if self.alignment is not None:
-            parts["alignment"] = self.alignment
-        return joined({name: part.parameters() for name, part in parts.items()})
+        return joined({name: part.parameters() for name, part in (parts | self.learned.parts).items()})
 
     def state(self) -> dict[str, Tensor]:
         """Return every tensor that a checkpoint keeps, by name."""
         own, occupancy, optimiser = self.parameters(), self.occupancy.state(), self._optimiser.state()
-        known = {} if self.converged is None else self.converged.state()
-        return joined({"model": own, "occupancy": occupancy, "optimiser": optimiser, "converged": known})
+        return joined({"model": own, "occupancy": occupancy, "optimiser": optimiser}) | self.learned.state()
 
     def load(self, state: dict[str, Tensor]) -> None:
         """Take over a saved state; ValueError where it is of a model of other settings."""
         copy_into(self.parameters(), under("model", state))
         self.occupancy.load(under("occupancy", state))
         self._optimiser.load(under("optimiser", state))
-        if self.converged is not None:
-            self.converged.load(under("converged", state))
+        self.learned.load(state)
 
     def record(self) -> dict[str, Any]:
-        """Return the space: with config and state it makes the model again."""
-        return {"space": asdict(self.space)}
+        """Return the space, and whether frames' colours are learned: with config and state it makes the model again."""
+        return {"space": asdict(self.space)} | ({} if self.appearance is None else {"appearance": True})
 
     def _copies(self) -> dict[str, Tensor]:
         """Return the rounded copies of parameters that the kernels read, by the parameters' names."""

@@ -18,6 +18,12 @@ Where a new field, or a field's new default, changes what comes out, what earlie
 
 A record that lacks the field is of an earlier version, and is read with that value: its results go on as they were.
 A key leaves such a value out, so that what earlier versions made keeps its key.
+
+A field that is gone stands there with the value in which today's version goes on:
+
+    GONE: ClassVar[Mapping[str, Any]] = {"robust": False}
+
+A record with that value is read as if it had none; one with another value is not known to this version.
 """
 
 from collections.abc import Mapping
@@ -122,7 +128,10 @@ def _is_before(kind: type[Any], name: str, value: Any) -> bool:
 def _renamed(kind: type[Any], old: Record) -> Record:
     """Return a record whose own entries have today's names; those of nested configs are left as they are."""
     new: Record = {}
+    gone = getattr(kind, "GONE", {})
     for name, value in _plain(old).items():
+        if name in gone and value == gone[name]:
+            continue
         place = aliases(kind).get(name, name)
         if isinstance(place, str):
             _put(new, place, value)

@@ -8,7 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from factories import write_raw
+from safetensors.torch import load_file
+from test_learn_completion import write_samples
+
+from cli.priors import PROGRAM
+from priors.learn.crop_packing import PackRequest, pack_crops
 
 SCRIPT = Path(__file__).with_name("bench") / "gpu"
 Answer = tuple[int, dict[str, Any], str]
@@ -49,7 +55,7 @@ def test_a_pack_holds_the_left_eye_the_prior_and_the_held_out_truth(pack: Path) 
 def test_a_rehearsal_measures_every_part(pack: Path, tmp_path: Path) -> None:
     """The budget is so short that steps are few, and long enough for a busy core."""
     before = sorted(pack.rglob("*"))
-    code, record, summary = measured(pack, tmp_path, "--budget", 220)
+    code, record, summary = measured(pack, tmp_path, "--budget", 220, "--crops", tmp_path / "none")
     parts = record["parts"]
     assert list(parts) == ["machine", "checks", "bench", "splat", "fit", "train"]
     # A busy core may be too slow for a part's share: then it is cut, with what it had by then.
@@ -64,12 +70,45 @@ def test_a_rehearsal_measures_every_part(pack: Path, tmp_path: Path) -> None:
     assert next(value for name, value in gaussians.items() if name.startswith("fit,"))["psnr"] > 5
     scored = parts["fit"]["figures"]["1024 rays, 40 steps"]
     assert scored["psnr"] > 5 and scored["abs_rel"] < 1 and scored["steps"] == 40
-    assert "no training command yet" in summary
+    assert "no crops here" in summary
     assert "says anything about" in summary
     assert sorted(pack.rglob("*")) == before, "the pack must not grow: it travels"
     files = list(tmp_path.iterdir())
     assert {path.name for path in files} == {"results.json", "summary.md", "log.txt", "view.png"}
     assert sum(path.stat().st_size for path in files) < 16 << 20
+
+
+@pytest.mark.slow
+def test_a_rehearsal_trains_each_network_and_goes_on(tmp_path: Path) -> None:
+    """Weights come out, finite, of the networks that ship; a second call goes on, and a build takes what it wrote."""
+    crops, runs, out = tmp_path / "crops", tmp_path / "runs", tmp_path / "out"
+    pack_crops(PackRequest(crops, write_samples(tmp_path), None, 36))
+    places = ("--crops", crops, "--runs", runs, "--parts", "train")
+    code, record, summary = measured(tmp_path, out, *places, "--budget", 200, "--train-s", 4)
+    assert code == 0 and record["parts"]["train"]["state"] == "done", summary
+    for name in ("cfnet-s", "mffnet-s", "bts-m"):
+        weights = load_file(out / f"{name}.safetensors")
+        assert all(torch.isfinite(value.float()).all() for value in weights.values())
+        assert (out / f"{name}.safetensors").stat().st_size < 16 << 20
+        assert any("validation" in line for line in (out / f"{name}.jsonl").read_text().splitlines())
+        found = record["parts"]["train"]["figures"][name]
+        assert found["error, best"] <= found["error, start"], "weights that are worse than the start are not kept"
+    first = json.loads((runs / "mffnet-s" / "last.json").read_text())
+    again = (*places, "--budget", 90, "--train-s", first["seconds"] + 8, "--networks", "mffnet")
+    assert measured(tmp_path, out, *again)[0] == 0
+    assert json.loads((runs / "mffnet-s" / "last.json").read_text())["step"] > first["step"]
+    folder = write_raw(tmp_path / "raw", range(1))
+    build = ["build", str(folder), "--cache", str(tmp_path / "cache"), "--frames", "0:1", "--method"]
+    assert (
+        PROGRAM.run([*build, "stereo", "--stereo.model", "cfnet", "--stereo.weights", str(out / "cfnet-s.safetensors")])
+        == 0
+    )
+    assert PROGRAM.run([*build, "mono", "--mono.weights", str(out / "bts-m.safetensors")]) == 0
+
+
+def test_without_crops_a_line_says_how_to_make_them(tmp_path: Path) -> None:
+    code, _, summary = measured(tmp_path, tmp_path / "out", "--crops", tmp_path / "none", "--parts", "train")
+    assert code == 0 and "no crops here: make gpu-crops" in summary
 
 
 @pytest.mark.slow
@@ -107,8 +146,6 @@ def test_a_part_that_fails_stops_no_other_and_says_why(tmp_path: Path) -> None:
 
 
 def test_without_a_gpu_one_line_says_so(tmp_path: Path) -> None:
-    import torch
-
     if torch.cuda.is_available():
         pytest.skip("there is a GPU")
     done = call("--pack", tmp_path, "--out", tmp_path / "out", "--device", "cuda")

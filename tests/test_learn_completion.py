@@ -104,8 +104,7 @@ def test_a_sweep_finds_where_it_stands() -> None:
     np.testing.assert_allclose(found, T, atol=2e-3)
 
 
-@pytest.fixture
-def street(tmp_path: Path) -> Path:
+def write_samples(tmp_path: Path) -> Path:
     """Two samples to train on and one to validate on."""
     for number in (0, 1, 72):
         one = scene(seed=number)
@@ -118,9 +117,14 @@ def street(tmp_path: Path) -> Path:
     return tmp_path / "street"
 
 
+@pytest.fixture
+def street(tmp_path: Path) -> Path:
+    return write_samples(tmp_path)
+
+
 def test_the_task_is_decided_by_its_arguments_and_learns(street: Path) -> None:
     task = CompletionTask(CompletionConfig(street, batch=2, size="s"))
-    assert len(task.samples.train) == 2 and len(task.samples.validation) == 1
+    assert [len(shown) for shown in task.held_back().values()] == [1]
     first, again = (task.batch(3, np.random.default_rng([0, 3])) for _ in range(2))
     assert all(torch.equal(first[name], again[name]) for name in first)
     assert first["image"].shape == (2, 3, 192, 448) and all(torch.isfinite(value).all() for value in first.values())

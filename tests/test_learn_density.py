@@ -42,7 +42,7 @@ def test_more_sweeps_of_a_street_are_denser_and_right(sweeps: int) -> None:
 
 def test_a_real_drives_sweeps_are_shown_without_the_truth() -> None:
     """The truth is pieces of the frame's own lines; the map that is shown has no value there."""
-    real = replace(scene(real=True), accumulated_m=tuple(scene().truth_m + sweeps for sweeps in INPUTS))
+    real = replace(scene(real=True), accumulated_m={sweeps: scene().truth_m + sweeps for sweeps in INPUTS})
     shown = drop_points(real, np.random.default_rng(0), Density(sweeps=11))
     known = shown.weight > 0
     assert 100 < known.sum() < 0.5 * len(real.points_m) and not (known & (shown.sparse_m > 0)).any()
@@ -54,7 +54,7 @@ def test_what_is_drawn_covers_all_densities() -> None:
     part = crop(scene(), 150, 100, (96, 192))
     lone = replace(part, real=True)
     rng = np.random.default_rng(0)
-    for one in (part, replace(lone, accumulated_m=(part.truth_m,) * len(INPUTS))):
+    for one in (part, replace(lone, accumulated_m=dict.fromkeys(INPUTS, part.truth_m))):
         counts = [int((drop_points(one, rng).sparse_m > 0).sum()) for _ in range(40)]
         assert min(counts) < len(one.points_m) / 4 and max(counts) > 2 * len(one.points_m)
     counts = [int((drop_points(lone, rng).sparse_m > 0).sum()) for _ in range(40)]

@@ -51,7 +51,7 @@ def test_gaussians_stay_on_their_device(loss: Any, tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(gaussians_model, "LAPS", 0)  # so that virtual views are learned from at once
     monkeypatch.setattr(growth, "EVERY", 1)
     scene = corridor("sparse", prior=loss != "none")
-    every = {"normal_weight": 0.1, "robust": True, "appearance": True}
+    every = {"normal_weight": 0.1, "appearance": True}
     settings = GaussianConfig(most_gaussians=60, virtual_views=0.9, **(every if loss == "urf" else {}))
     sampler = SamplerConfig(count=8, free=8, render=16)
     model = ModelConfig(family="splat", log2_size=8, width=16, sampler=sampler, gaussians=settings)

@@ -32,7 +32,7 @@ BUILT = {
     LIDAR: "lidar --frames 0:3",
     "stereo-118841c6e4": "stereo --sky mask --clip 80 --frames 0:2",
     "stereo-ed20d59641": "stereo --stereo.model cfnet --stereo.runtime fp32 --stereo.offset-px 0.5 0 1.1 -0.7 "
-    "--stereo.scale 0.981 --frames 0:1",
+    "--stereo.scale 0.981 --stereo.resize none --frames 0:1",
     "completion-b0e5c5d0d2": "completion --completion.cleaning full --frames 0:1",
     "completion-e97a20c511": "completion --completion.model mffnet --completion.runtime fp32 "
     "--completion.cleaning full --frames 0:1",

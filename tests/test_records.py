@@ -210,6 +210,18 @@ def test_a_record_from_before_a_field_is_read_as_it_was() -> None:
     assert upgrade(Grown, {"old": 2})["fresh"] == 0.0
 
 
+def test_a_field_that_is_gone_is_read_where_it_changed_nothing() -> None:
+    @dataclass(frozen=True)
+    class Smaller:
+        kept: int = 1
+        GONE: ClassVar[Mapping[str, Any]] = {"lost": False}
+
+    assert restore(Smaller, {"kept": 2, "lost": False}) == Smaller(2)
+    assert upgrade(Smaller, {"kept": 2, "lost": False}) == {"kept": 2}
+    with pytest.raises(TypeError, match="lost is not known to this version"):
+        restore(Smaller, {"kept": 2, "lost": True})
+
+
 def test_a_config_goes_on_as_an_earlier_version_began_it() -> None:
     begun = Around(Grown(2, 0.0))
     assert earlier(Around(), begun) == Around(Grown(1, 0.0))

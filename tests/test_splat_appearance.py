@@ -5,15 +5,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from test_nerf_fit import corridor
 from test_splat_fit import config, psnr, trained
+from torch import Tensor
 
 from nerf import fields
-from nerf.gaussians.appearance import Appearance, changed, unchanged
+from nerf.gaussians.appearance import Appearance
+from nerf.gaussians.types import Behind, Rasterised
 from nerf.harmonics import harmonics
+from nerf.kernels import kernels_for
 from nerf.scene import Scene
+from nerf.twin import shown as twin
+from nerf.twin.shown import changed
+from priors.machine import threads
 
 pytestmark = pytest.mark.splats
 
@@ -25,14 +32,52 @@ def along(places_m: list[float]) -> np.ndarray:
     return poses
 
 
-@given(seed=st.integers(0, 1000))
-def test_colours_go_back_as_autograd_says(seed: int) -> None:
-    random = torch.Generator().manual_seed(seed)
-    rgb, pull = (torch.randn(4, 5, 3, generator=random, dtype=torch.float64) for _ in range(2))
-    change = 0.1 * torch.randn(3, 4, generator=random, dtype=torch.float64)
-    rgb.requires_grad_()
-    (wanted,) = torch.autograd.grad((changed(rgb, change) * pull).sum(), rgb)
-    assert torch.allclose(unchanged(pull, change), wanted, rtol=1e-9, atol=1e-12)
+def picture(seed: int, changes: bool, dtype: torch.dtype) -> tuple[Rasterised, Behind, Tensor]:
+    """What was rasterised, what lies behind it, and a pull at each colour; some pixels let no light pass."""
+    random, (height, width) = torch.Generator().manual_seed(seed), (19, 7)
+    rgb, pull = (torch.randn(height, width, 3, generator=random, dtype=dtype) for _ in range(2))
+    opacity = torch.rand(height, width, generator=random, dtype=dtype).mul(1.5).clamp(max=1)
+    units = torch.nn.functional.normalize(torch.randn(height * width, 3, generator=random, dtype=dtype), dim=1)
+    turn = torch.from_numpy(Rotation.random(random_state=seed).as_matrix()).to(dtype)
+    texels = torch.randn(4 + 25, 3, generator=random, dtype=dtype)
+    change = 0.3 * torch.randn(3, 4, generator=random, dtype=dtype) if changes else None
+    nothing = torch.zeros(0)
+    seen = Rasterised(rgb, nothing, opacity, nothing, nothing, nothing, None)
+    return seen, Behind(texels, (2, 5), units, turn, change, 0.05), pull
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 1000), changes=st.booleans())
+def test_what_a_frame_shows_goes_back_as_autograd_says(seed: int, changes: bool) -> None:
+    seen, behind, pull = picture(seed, changes, torch.float64)
+    leaves = [seen.rgb, seen.opacity, behind.texels] + ([behind.change] if behind.change is not None else [])
+    shown = twin.show(seen, behind)
+    found = [x for x in twin.unshow(seen, shown, pull) if x is not None]
+    for leaf in leaves:
+        leaf.requires_grad_()
+    wanted = torch.autograd.grad((twin.show(seen, behind).rgb * pull).sum(), leaves)
+    assert len(found) == len(wanted)
+    for own, truth in zip(found, wanted, strict=True):
+        assert torch.allclose(own, truth, rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize("changes", [True, False])
+def test_compiled_pictures_equal_the_twins_on_any_number_of_threads(changes: bool) -> None:
+    kernels = kernels_for(torch.device("cpu")).splat
+    seen, behind, pull = picture(3, changes, torch.float32)
+    wanted = twin.show(seen, behind)
+    gradients = twin.unshow(seen, wanted, pull)
+    runs = []
+    for count in (1, 3):
+        with threads.limited(count):
+            shown = kernels.show(seen, behind)
+            runs.append((shown.rgb, *kernels.unshow(seen, shown, pull)))
+    for own, other, truth in zip(*runs, (wanted.rgb, *gradients), strict=True):
+        if truth is None:
+            assert own is other is None
+        else:
+            assert torch.equal(own, other)
+            assert torch.allclose(own, truth, rtol=1e-4, atol=1e-5)
 
 
 def test_a_frame_learns_its_own_change() -> None:
@@ -42,8 +87,8 @@ def test_a_frame_learns_its_own_change() -> None:
     wanted = torch.tensor([[0.2, 0.0, 0.0, 0.02], [0.0, -0.1, 0.0, 0.0], [0.0, 0.05, 0.1, -0.03]])
     for _ in range(600):
         rgb = torch.rand(8, 9, 3, generator=random)
-        off = changed(rgb, model.change[1]) - changed(rgb, wanted)
-        model.learn(1, rgb, 2 * off, 1.0)
+        pull = 2 * (changed(rgb, model.change[1]) - changed(rgb, wanted)).reshape(-1, 3)
+        model.learn(1, torch.cat([pull.T @ rgb.reshape(-1, 3), pull.sum(0)[:, None]], dim=1), 1.0)
     assert (model.change[1] - wanted).abs().max() < 0.03
     assert not model.change[0].any(), "the other frame saw nothing"
 

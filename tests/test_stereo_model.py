@@ -1,11 +1,14 @@
 """Stereo by a network: what it is given, what comes back, and hard inputs; a stand-in takes the network's place."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from factories import scene as slanted
+from hypothesis import given
+from hypothesis import strategies as st
 from standin import install
 from test_stereo import BASELINE_M, FX, frame, pair, scene
 
@@ -14,12 +17,13 @@ from priors import build
 from priors.codecs import FARTHEST_M
 from priors.errors import DataError
 from priors.methods import _stereo_network as network
+from priors.methods import _stereo_size
 from priors.methods.stereo import Stereo
 from priors.nets import runtime, weights
 from priors.types import Depth
 
 ZERO = (0.0, 0.0, 0.0)
-NET = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO)
+NET = Stereo(model="cfnet", runtime="fp32", resize="none", offset_px=ZERO)
 MODELS = pytest.mark.parametrize("method", [NET, Stereo(offset_px=ZERO)], ids=["network", "classical"])
 
 
@@ -49,7 +53,7 @@ def test_range_comes_from_the_scene_in_steps_of_32() -> None:
     for disparity_px, low, high in ((12.0, 32, 64), (45.0, 64, 96)):
         NET(frame(*pair(disparity_px)))
         assert low <= net.asked[-1] <= high and net.asked[-1] % 32 == 0
-    Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=32)(frame(*pair(12.0)))
+    Stereo(model="cfnet", runtime="fp32", resize="none", offset_px=ZERO, max_disparity_px=32)(frame(*pair(12.0)))
     assert net.asked[-1] == 64  # 0 to 32 are 33
 
 
@@ -92,15 +96,63 @@ def test_empty_borders_are_left_out() -> None:
 
 
 def test_large_pairs_are_halved(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert network.count_halvings((375, 1242), 200) == 0
-    assert network.count_halvings((2056, 2464), 200) == 1
-    assert network.count_halvings((3000, 4000), 1000) == 2
-    assert network.count_halvings((375, 1242), 600) == 1
-    monkeypatch.setattr(network, "MOST_PIXELS", 120 * 320 - 1)
+    assert _stereo_size.count_halvings((375, 1242), 200) == 0
+    assert _stereo_size.count_halvings((2056, 2464), 200) == 1
+    assert _stereo_size.count_halvings((3000, 4000), 1000) == 2
+    assert _stereo_size.count_halvings((375, 1242), 600) == 1
+    monkeypatch.setattr(_stereo_size, "MOST_PIXELS", 120 * 320 - 1)
     net: Any = runtime.open_net("cfnet", "s", "fp32").net
-    depth = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=60)(frame(*pair(24.0)))
+    depth = Stereo(model="cfnet", runtime="fp32", resize="none", offset_px=ZERO, max_disparity_px=60)(
+        frame(*pair(24.0))
+    )
     assert net.asked[-1] == 32
     assert np.median(np.abs(FX * BASELINE_M / depth.depth_m - 24)[:, 60:-60]) < 0.3 and finite(depth, (120, 320))
+
+
+def test_narrow_pairs_are_enlarged_and_others_are_not() -> None:
+    net: Any = runtime.open_net("cfnet", "s", "fp32").net
+    auto = replace(NET, resize="auto", max_disparity_px=60)
+    depth = auto(frame(*pair(12.0)))
+    assert net.asked[-1] == 192  # 60 px of 320 are 180 of 960
+    assert np.median(np.abs(FX * BASELINE_M / depth.depth_m - 12)[:, 60:-60]) < 0.1 and finite(depth, (120, 320))
+    assert auto.resolve(frame(*pair(12.0))).resize == "auto"
+    wide = np.random.default_rng(0).integers(0, 256, (60, 950), dtype=np.uint8)
+    assert auto.resolve(frame(wide, wide)).resize == "none", "it decides nothing there"
+    auto(frame(wide, wide))
+    assert net.asked[-1] == 64
+    assert Stereo(resize="auto").resolve(frame(*pair(12.0))).resize == "none", "nor without a network"
+    assert "resize" in Stereo().unread()
+
+
+def test_wide_pairs_are_seen_smaller_where_time_counts() -> None:
+    net: Any = runtime.open_net("cfnet", "s", "fp32").net
+    fast = replace(NET, resize="fast", max_disparity_px=100)
+    left, right = (np.tile(view, (1, 4, 1)[: view.ndim]) for view in pair(12.0))
+    depth = fast(frame(left, right))
+    assert net.asked[-1] == 96  # 85 px and one more
+    off_px = np.abs(FX * BASELINE_M / depth.depth_m - 12)[:, 60:-60]
+    assert np.median(off_px) <= 0.5 / 0.85, "the stand-in finds whole pixels"
+    assert finite(depth, (120, 1280))
+    assert fast.resolve(frame(left, right)).resize == "fast"
+    assert fast.resolve(frame(*pair(12.0))).resize == "none"
+
+
+def test_sizes_of_enlarged_pairs() -> None:
+    assert [_stereo_size.factor_of(width, "auto") for width in (1, 333, 500, 950, 1242)] == [3, 3, 2, 1, 1]
+    assert [_stereo_size.factor_of(width, "fast") for width in (1, 500, 1000, 1242)] == [1, 1, 1, 0.85]
+    assert {_stereo_size.factor_of(width, "none") for width in (1, 500, 1242)} == {1}
+    assert _stereo_size.seen_size((120, 414), 2.0, 100) == (240, 828)
+    assert _stereo_size.seen_size((120, 400), 2.0, 200) == (192, 640), "320 disparities are searched at most"
+    assert _stereo_size.seen_size((120, 400), 0.5, 500) == (60, 200)
+    assert _stereo_size.seen_size((1, 1), 0.25, 1000) == (1, 1)
+
+
+@given(st.floats(0.05, 20), st.floats(0.85, 3))
+def test_a_chance_within_more_pixels(spread_px: float, pixels: float) -> None:
+    """Laplace's distribution itself is the oracle."""
+    chance = np.full((1, 1), -np.expm1(-1 / spread_px), np.float32)
+    wanted = -np.expm1(-pixels / spread_px)
+    assert _stereo_size.chance_in_pixels(chance, pixels)[0, 0] == pytest.approx(wanted, abs=1e-5)
 
 
 @MODELS
@@ -164,7 +216,7 @@ def test_what_is_no_image_is_said(method: Stereo) -> None:
 def test_twelve_million_pixels() -> None:
     small = np.random.default_rng(0).integers(0, 256, (300, 400), dtype=np.uint8)
     image = np.kron(small, np.ones((10, 10), np.uint8))
-    method = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=100)
+    method = Stereo(model="cfnet", runtime="fp32", resize="none", offset_px=ZERO, max_disparity_px=100)
     depth = method(frame(image, np.roll(image, -40, axis=1)))
     assert finite(depth, (3000, 4000))
     assert np.median(np.abs(FX * BASELINE_M / depth.depth_m - 40)) < 1
@@ -208,11 +260,13 @@ def test_onnx_gives_the_same_depth(tmp_path: Path) -> None:
     from priors.nets.export import to_onnx
 
     left, right, _ = scene()
-    exact = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO, max_disparity_px=60)(frame(left, right))
+    exact = Stereo(model="cfnet", runtime="fp32", resize="none", offset_px=ZERO, max_disparity_px=60)(
+        frame(left, right)
+    )
     file = tmp_path / "a.onnx"
     write_bytes(file, to_onnx(runtime.open_net("cfnet", "s", "onnx"), (128, 320), 64))
     for method in (
-        Stereo(model="cfnet", runtime="onnx", offset_px=ZERO, max_disparity_px=60),
+        Stereo(model="cfnet", runtime="onnx", resize="none", offset_px=ZERO, max_disparity_px=60),
         Stereo(model="cfnet", weights=file, offset_px=ZERO),
     ):
         depth = method(frame(left, right))

@@ -89,7 +89,7 @@ def test_build_tells_it_and_the_key_of_a_good_pair_stays(tmp_path: Path, capsys:
     config = record(Stereo(offset_px=ZERO).resolve(open_drive(folder)[0]))
     assert config["rows_px"] is None
     manifest = dict.fromkeys(keys.DECIDES, "") | {"config": config}
-    old = {name: value for name, value in config.items() if name != "rows_px"}
+    old = {name: value for name, value in config.items() if name not in ("rows_px", "resize")}
     assert keys.key(manifest, Stereo) == keys.key_of(manifest | {"config": old})
     off = textured(3.0)
     for name, image in (("left", off.left), ("right", off.right)):
@@ -120,7 +120,7 @@ def test_networks_search_as_far_as_their_header_says(monkeypatch: pytest.MonkeyP
     for headroom in (None, 1.0, 4.0):
         if headroom is not None:
             weights.rewrite_about(file, headroom=headroom)
-        method = Stereo(model="cfnet", runtime="fp32", offset_px=ZERO)
+        method = Stereo(model="cfnet", runtime="fp32", resize="none", offset_px=ZERO)
         method(here)
         net: Any = runtime.open_net("cfnet", "s", "fp32").net
         asked.append(net.asked[-1])

@@ -10,7 +10,7 @@ import tyro
 from cli.arguments import Device, parse
 from cli.console import busy, err, out, progress, train_progress
 from cli.mistakes import nearest
-from priors.errors import DataError, UsageError, expect_between
+from priors.errors import DataError, UsageError, expect, expect_between
 from priors.learn.config import TrainConfig
 from priors.machine.device import pick_device
 from priors.selection import parse_shard
@@ -18,6 +18,7 @@ from priors.selection import parse_shard
 if TYPE_CHECKING:
     from priors.learn.training_run import Task
 
+LARGEST_PACK_MIB = 100_000
 EXAMPLES = """Train the networks on your own data. Every run stops (Ctrl-C, kill) and goes on with the same command.
 
 examples:
@@ -27,6 +28,8 @@ examples:
   priors train completion runs/mffnet --street samples/ --real DRIVE
   priors train completion runs/mine --street samples/ --real DRIVE --start mffnet-s.safetensors --lr 0.0005
   priors train mono runs/bts --street samples/
+  priors train pack-crops crops/ --street samples/ --real DATA    what training needs in 36 MiB, for a borrowed GPU
+  priors train mono runs/bts --crops crops/ --size m --start bts-m.safetensors --device cuda --batch 16
   priors train pack runs/cfnet-s cfnet-s.safetensors    what `--stereo.weights` takes
   priors train calibrate cfnet-s.safetensors --street samples/    stereo's confidence, from what training held back
   priors train calibrate mffnet-s.safetensors --street samples/ --real DATA    up to which density completion counts
@@ -61,6 +64,8 @@ class RunArguments:
     """Folder of `priors train samples`."""
     real: Path | None = None
     """Real data to learn from too: a folder that holds kitti_odometry, kitti_raw_train, camvid or some of them."""
+    crops: Path | None = None
+    """Pack of `priors train pack-crops`, in place of --street and --real."""
     size: Literal["s", "m", "l"] = "s"
     """The network's size."""
     batch: int = 2
@@ -74,6 +79,8 @@ class RunArguments:
 
     def __post_init__(self) -> None:
         expect_between(1, self.batch, 4096, "--batch")
+        if self.crops is not None and self.real is not None:
+            raise UsageError(f"--crops {self.crops} stands in place of --real {self.real}: leave one of them out")
 
 
 @dataclass(frozen=True)
@@ -96,6 +103,23 @@ class PackArguments:
     """Folder of a training run."""
     out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
     """File to write: .safetensors."""
+
+
+@dataclass(frozen=True)
+class PackCropsArguments:
+    """Arguments of `priors train pack-crops`."""
+
+    out: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUT")]
+    """Folder to write crops into; those that are there are kept."""
+    street: Path = Path("samples")
+    """Folder of `priors train samples`."""
+    real: Path | None = None
+    """Real data, as in training; what is held back is packed for validation alone."""
+    mib: float = 36.0
+    """Room for all files together, MiB."""
+
+    def __post_init__(self) -> None:
+        expect(0 < self.mib < LARGEST_PACK_MIB, "--mib", self.mib, f"more than 0, less than {LARGEST_PACK_MIB}")
 
 
 @dataclass(frozen=True)
@@ -152,14 +176,18 @@ def stereo_task(args: StereoArguments) -> "Task":
     """Make what a stereo network learns."""
     import torch
 
+    from priors.learn.crop_pack import CropPack
     from priors.learn.stereo import SCHEDULE, StereoTask
-    from priors.learn.stereo_data import Folders, mixture, validation
+    from priors.learn.stereo_data import Folders, mixture, packed_mixture, packed_validation, validation
     from priors.nets import runtime
 
     torch.manual_seed(0)
     net = runtime.create(args.net, args.size)
-    folders = Folders(args.street, args.real, args.cache, args.teacher)
     schedule = (0, 0) if started_from(args) else SCHEDULE  # what has learned already learns on as a whole
+    if args.crops is not None:
+        crops = CropPack(args.crops)
+        return StereoTask(net, packed_mixture(crops), packed_validation(crops), args.batch, schedule)
+    folders = Folders(args.street, args.real, args.cache, args.teacher)
     return StereoTask(net, mixture(folders), validation(folders, count=10), args.batch, schedule)
 
 
@@ -167,7 +195,7 @@ def completion_task(args: RunArguments) -> "Task":
     """Make what the completion network learns."""
     from priors.learn.completion import CompletionConfig, CompletionTask
 
-    return CompletionTask(CompletionConfig(street=args.street, real=args.real, batch=args.batch, size=args.size))
+    return CompletionTask(CompletionConfig(args.street, args.real, args.crops, batch=args.batch, size=args.size))
 
 
 def mono_task(args: RunArguments) -> "Task":
@@ -175,7 +203,7 @@ def mono_task(args: RunArguments) -> "Task":
     from priors.learn.mono import MonoConfig, MonoTask
 
     cache, imagenet = args.out / "cache", not started_from(args)
-    return MonoTask(MonoConfig(args.street, args.real, cache, batch=args.batch, size=args.size, imagenet=imagenet))
+    return MonoTask(MonoConfig(args.street, args.real, cache, args.crops, imagenet, batch=args.batch, size=args.size))
 
 
 def started_from(args: RunArguments) -> str | None:
@@ -208,6 +236,17 @@ def pack(args: PackArguments) -> None:
 
     pack_run(args.run, args.out)
     out.print(f"wrote {args.out} ({args.out.stat().st_size / 1e6:.1f} MB)")
+
+
+def pack_crops(args: PackCropsArguments) -> None:
+    """Write a pack of training crops."""
+    from priors.learn.crop_packing import PackRequest, pack_crops
+
+    with progress("crops, % of the room", 100) as step:
+        counts = pack_crops(PackRequest(args.out, args.street, args.real, args.mib), step)
+    for name, count in counts.items():
+        out.print(f"{name:<12}{count}")
+    out.print(f"wrote {args.out}")
 
 
 def calibrate(args: CalibrateArguments) -> None:
@@ -253,6 +292,7 @@ KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
     "completion": (RunArguments, lambda args: train_network(args, completion_task, "mffnet")),
     "mono": (RunArguments, lambda args: train_network(args, mono_task, "bts")),
     "pack": (PackArguments, pack),
+    "pack-crops": (PackCropsArguments, pack_crops),
     "calibrate": (CalibrateArguments, calibrate),
     "surfaces": (SurfacesArguments, fit_surfaces),
 }

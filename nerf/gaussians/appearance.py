@@ -44,18 +44,16 @@ class Appearance:
         shares = torch.from_numpy(closeness / closeness.sum()).to(self.change)
         return (shares[:, None, None] * self.change[torch.from_numpy(near).to(self.change.device)]).sum(0)
 
-    def learn(self, which: int, rgb: Tensor, d_shown: Tensor, share: float) -> None:
-        """Do a step of Adam for a training frame, from the derivative by what is shown of it, (h, w, 3).
+    def learn(self, which: int, d_change: Tensor, share: float) -> None:
+        """Do a step of Adam for a training frame.
 
         Args:
             which: number of the frame.
-            rgb: (h, w, 3) what the Gaussians show.
-            d_shown: (h, w, 3) the colour loss's derivative by the changed colours.
+            d_change: (3, 4) the colour loss's derivative by its change.
             share: of the largest rate.
         """
         change = self.change[which]
-        flat, d_flat = rgb.reshape(-1, 3), d_shown.reshape(-1, 3)
-        gradient = torch.cat([d_flat.T @ flat, d_flat.sum(0)[:, None]], dim=1) + 2 * PULL * change
+        gradient = d_change + 2 * PULL * change
         self._steps[which] += 1
         step, (beta, gamma) = int(self._steps[which]), BETAS
         mean, square = self._mean[which], self._square[which]
@@ -86,13 +84,3 @@ class Appearance:
         for name, own in made.state().items():
             own.copy_(state[name])
         return made
-
-
-def changed(rgb: Tensor, change: Tensor) -> Tensor:
-    """Return colours (h, w, 3) after a change (3, 4)."""
-    return rgb + rgb @ change[:, :3].T + change[:, 3]
-
-
-def unchanged(d_shown: Tensor, change: Tensor) -> Tensor:
-    """Return the derivative (h, w, 3) by colours before a change (3, 4), from that by those after it."""
-    return d_shown + d_shown @ change[:, :3]

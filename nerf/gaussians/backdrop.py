@@ -4,8 +4,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from nerf.gaussians.shot import Directions
-from nerf.gaussians.types import Rasterised, Viewpoint
+from nerf.gaussians.shot import Directions, rotation_of
+from nerf.gaussians.types import Behind, Viewpoint
 from nerf.scene import Scene
 from nerf.sky import Sky, SkyConfig
 from nerf.twin.sky import corners
@@ -26,26 +26,17 @@ class Backdrop:
 
     def __init__(self, device: torch.device) -> None:
         self.sky, self._directions = Sky(SkyConfig(), device), Directions()
-        self._flat = torch.empty(0, dtype=torch.int64)
-        self._rgb = torch.empty(0)
 
-    def behind(self, seen: Rasterised, viewpoint: Viewpoint, clear: float = CLEAR) -> Tensor:
-        """Return a picture (h, w, 3) with the sky behind it, where more light than a share `clear` passes."""
-        passes = (1 - seen.opacity).flatten()
-        self._flat = torch.nonzero(passes > clear).flatten()
-        self._rgb = self.sky.forward(self._directions(viewpoint, self._flat))
-        whole = seen.rgb.reshape(-1, 3).clone()
-        whole[self._flat] += passes[self._flat, None] * self._rgb
-        return whole.view_as(seen.rgb)
+    def behind(self, viewpoint: Viewpoint, change: Tensor | None, clear: float = CLEAR) -> Behind:
+        """Return what lies behind Gaussians where more light than a share `clear` passes, and a change (3, 4)."""
+        device, sky = self.sky.texels.device, self.sky
+        units, rotation = self._directions.of(viewpoint.camera, device), rotation_of(viewpoint, device)
+        return Behind(sky.texels, sky.config.sizes, units, rotation, change, clear)
 
-    def backward(self, seen: Rasterised, d_rgb: Tensor) -> Tensor:
-        """Set the sky's gradient from that of the last picture; returns that of the opacity, (h, w)."""
-        d_seen = d_rgb.reshape(-1, 3)[self._flat]
-        passes = (1 - seen.opacity).flatten()[self._flat]
-        self.sky.backward(d_seen * passes[:, None])
-        d_opacity = torch.zeros_like(seen.opacity).flatten()
-        d_opacity[self._flat] = -(d_seen * self._rgb).sum(1)
-        return d_opacity.view_as(seen.opacity)
+    def learn(self, d_texels: Tensor) -> None:
+        """Set the sky's gradient."""
+        assert self.sky.texels.grad is not None
+        self.sky.texels.grad.copy_(d_texels)
 
     def paint(self, scene: Scene) -> None:
         """Paint the sky by the training frames' sky pixels; each picture has what the coarser ones lack.

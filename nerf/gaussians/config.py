@@ -13,7 +13,7 @@ MOST = 20_000_000
 
 @dataclass(frozen=True)
 class GaussianConfig:
-    """What a field of Gaussians is trained by; other fields read none of it."""
+    """What a field of Gaussians is trained by; hash fields read `appearance` alone."""
 
     most_gaussians: int = 400_000
     """How many Gaussians there are at most."""
@@ -30,12 +30,11 @@ class GaussianConfig:
     frame was drawn eight times; 0: none."""
     normal_weight: float = 0.0
     """Weight of the loss that lays Gaussians along the surface that the rendered depth shows; 0: none."""
-    robust: bool = False
-    """Leave out pixels of a training frame that the other frames contradict: what drives or walks."""
     appearance: bool = True
     """Learn an affine change of colour for each training frame: exposure and white balance differ."""
 
     BEFORE: ClassVar[Mapping[str, Any]] = {"virtual_views": 0.0, "appearance": False}
+    GONE: ClassVar[Mapping[str, Any]] = {"robust": False}
 
     def __post_init__(self) -> None:
         expect_between(1, self.most_gaussians, MOST, "--most-gaussians")

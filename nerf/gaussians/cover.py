@@ -5,6 +5,7 @@ import numpy.typing as npt
 
 from nerf.gaussians.look import FARTHEST_M, Look
 from priors.geometry import invert, project, transform
+from priors.machine import threads
 from priors.types import Camera, Matrix
 
 Floats = npt.NDArray[np.float32]
@@ -22,14 +23,17 @@ class Cover:
     """Points in blocks, one a frame: blocks that a view cannot see cost nothing."""
 
     def __init__(self) -> None:
-        self._blocks: list[tuple[Floats, Floats, float]] = []
-        """Points (n, 3), middle (3,) and radius, metres."""
+        self._blocks: list[Floats] = []
+        """Points (n, 3)."""
+        self._balls: list[npt.NDArray[np.float64]] = []
+        """(4,) middle and radius of each block, metres."""
 
     def add(self, means_m: Floats) -> None:
         """Take points (n, 3) of the scene's frame, metres."""
         if len(means_m):
             middle = means_m.mean(axis=0)
-            self._blocks.append((means_m, middle, float(np.linalg.norm(means_m - middle, axis=1).max())))
+            self._blocks.append(means_m)
+            self._balls.append(np.append(middle, np.linalg.norm(means_m - middle, axis=1).max()).astype(np.float64))
 
     def cells(self, look: Look, step: int) -> tuple[Flags, Flags]:
         """Tell of the cells of step x step pixels of a frame which show a point at all, and which are covered.
@@ -42,9 +46,10 @@ class Cover:
         found = Cells(depth_m, *(np.zeros(depth_m.shape, np.uint8) for _ in range(2)))
         T_cam_world = invert(look.T_world_cam)
         projection = np.ascontiguousarray(look.camera.K @ T_cam_world[:3])
-        for block in self._blocks:
-            if _may_see(look.camera, T_cam_world, block):
-                cover(block[0], projection, found, step, SAME)
+        if self._balls:
+            may = np.flatnonzero(_may_see(look.camera, T_cam_world, np.stack(self._balls)))
+            # threads may write to one cell at once, and they write the same
+            threads.run(len(may), lambda task: cover(self._blocks[may[task]], projection, found, step, SAME))
         return found.filled > 0, found.covered > 0
 
 
@@ -61,16 +66,12 @@ def looked_through(means_m: Floats, others: list[Look]) -> Flags:
     return np.asarray(votes >= THROUGH_VOTES)
 
 
-def _may_see(camera: Camera, T_cam_world: Matrix, block: tuple[Floats, Floats, float]) -> bool:
-    """Tell whether a ball around a block of points reaches into a view's pyramid."""
-    _, middle, radius = block
-    x, y, z = transform(T_cam_world, middle[None].astype(np.float64))[0]
-    if z + radius <= 0 or z - radius > FARTHEST_M:
-        return False
-    height, width = camera.size
-    K = camera.K
+def _may_see(camera: Camera, T_cam_world: Matrix, balls: npt.NDArray[np.float64]) -> Flags:
+    """Tell which balls (b, 4), middle and radius, reach into a view's pyramid."""
+    x, y, z = transform(T_cam_world, balls[:, :3]).T
+    radius, (height, width), K = balls[:, 3], camera.size, camera.K
+    may = (z + radius > 0) & (z - radius <= FARTHEST_M)
     for place, focal, centre, side in ((x, K[0, 0], K[0, 2], width), (y, K[1, 1], K[1, 2], height)):
         low, high = (-0.5 - centre) / focal, (side - 0.5 - centre) / focal
-        if low * z - place > radius * np.hypot(1, low) or place - high * z > radius * np.hypot(1, high):
-            return False
-    return True
+        may &= (low * z - place <= radius * np.hypot(1, low)) & (place - high * z <= radius * np.hypot(1, high))
+    return np.asarray(may)

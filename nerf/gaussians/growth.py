@@ -43,8 +43,8 @@ class Growth:
 
     def observe(self, gradients: SplatGradients) -> None:
         """Note a step."""
-        self.pull[gradients.index] += gradients.screen
-        self.views[gradients.index] += 1
+        self.pull.index_add_(0, gradients.index, gradients.screen)
+        self.views.index_add_(0, gradients.index, torch.ones_like(gradients.screen))
 
     def state(self) -> dict[str, Tensor]:
         """Return what `load` needs."""

@@ -45,6 +45,11 @@ class Look:
     sky: Flags
     """(h, w)"""
 
+    @property
+    def nbytes(self) -> int:
+        """How much memory it takes, with its normals."""
+        return self.image.nbytes + 5 * self.depth_m.nbytes + 2 * self.sky.nbytes
+
     @cached_property
     def normals(self) -> Floats:
         """(h, w, 3) unit normals of the smoothed depth in the camera's frame, towards it."""

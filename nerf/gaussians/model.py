@@ -8,8 +8,8 @@ import torch
 from torch import Tensor
 
 from nerf.config import FitConfig, ModelConfig
-from nerf.gaussians import growth, movers, normals
-from nerf.gaussians.appearance import Appearance, changed, unchanged
+from nerf.gaussians import growth, normals
+from nerf.gaussians.appearance import Appearance
 from nerf.gaussians.backdrop import TRAINED, Backdrop
 from nerf.gaussians.config import GaussianConfig
 from nerf.gaussians.growth import Growth
@@ -17,7 +17,7 @@ from nerf.gaussians.losses import ViewLosses, geometry_losses
 from nerf.gaussians.normals import Consistency
 from nerf.gaussians.rates import rates_at
 from nerf.gaussians.shell import shell_of
-from nerf.gaussians.shot import Shot, position_at, shot_of
+from nerf.gaussians.shot import Shot, Shots, position_at
 from nerf.gaussians.types import Drawing, Gaussians, Rasterised, SplatMoments, Viewpoint
 from nerf.gaussians.virtual import VirtualViews, is_virtual
 from nerf.kernels import kernels_for
@@ -53,6 +53,7 @@ class SplatModel:
         self._sky = Optimiser({f"sky.{name}": x for name, x in self.backdrop.sky.parameters().items()})
         self._splat = kernels_for(self.device).splat
         self._virtual: VirtualViews | None = None
+        self._shots = Shots()
         self.appearance: Appearance | None = None
         """What is learned of each training frame's colours; None: nothing."""
 
@@ -80,8 +81,9 @@ class SplatModel:
         between = int(later * share)
         if self._virtual is not None and is_virtual(later, share):
             return self._virtual.shot(config.seed, between)
-        shot = shot_of(scene, position_at(scene.train, config.seed, step - between), config.losses, self.device)
-        return replace(shot, share=1 - share, late=step >= movers.LAPS * len(scene.train))
+        position = position_at(scene.train, config.seed, step - between)
+        shot = self._shots(scene, position, config.losses, self.device)
+        return replace(shot, share=1 - share)
 
     def _virtual_share(self, scene: Scene, step: int, progress: float) -> float:
         """Return which share of the steps learns from virtual views now; without a prior none does."""
@@ -100,29 +102,26 @@ class SplatModel:
     def _learn(self, shot: Shot, seen: Rasterised, config: FitConfig, at: tuple[int, float]) -> StepResult:
         """Go back from what is seen of a frame, and move the parameters."""
         step, progress = at
-        rgb = self.backdrop.behind(seen, shot.viewpoint, TRAINED)
         change = self._change(shot.viewpoint.T_world_cam)
-        shown = rgb if change is None else changed(rgb, change)
-        if shot.late and self.settings.robust:
-            shot = shot.only(movers.counted(shown, seen.depth_m(OPACITY_FLOOR), shot))
+        shown = self._splat.show(seen, self.backdrop.behind(shot.viewpoint, change, TRAINED))
         share = self.settings.dssim if min(shot.rgb.shape[:2]) >= LEAST_SIDE_PX else 0.0
-        colour = self._splat.colour_loss(shown, shot.rgb, share, shot.counts)
+        colour = self._splat.colour_loss(shown.rgb, shot.rgb, share, shot.counts)
         rules = _for_fewer(config.losses, shot.share)
         losses = geometry_losses(rules, shot, seen, config.rays, (config.seed, step))
-        d_rgb = colour.d_rgb if change is None else unchanged(colour.d_rgb, change)
-        losses.d_opacity += self.backdrop.backward(seen, d_rgb)
+        by = self._splat.unshow(seen, shown, colour.d_rgb)
+        losses.d_opacity += by.opacity
         normal = self._normals(shot, seen, losses, step)
-        gradients = self._splat.backward(seen, losses.gradients(d_rgb))
+        gradients = self._splat.backward(seen, losses.gradients(by.rgb))
         if normal is not None:
             normal.add_to(gradients)
-        if self.appearance is not None and shot.frame is not None:
-            rate = config.optimiser.share(step + 1, progress)
-            self.appearance.learn(shot.frame, rgb, colour.d_rgb, rate)
+        if self.appearance is not None and shot.frame is not None and by.change is not None:
+            self.appearance.learn(shot.frame, by.change, config.optimiser.share(step + 1, progress))
         self.growth.observe(gradients)
         rates = rates_at(config.optimiser, step + 1, progress)
         self._splat.adam(self.gaussians, gradients, self.moments, rates, step + 1)
+        self.backdrop.learn(by.texels)
         self._sky.step(config.optimiser, progress)
-        terms = {"rgb": (shown - shot.rgb).square().mean(), **losses.terms}
+        terms = {"rgb": torch.nn.functional.mse_loss(shown.rgb, shot.rgb), **losses.terms}
         total = losses.total + colour.total
         return StepResult(terms, total, shot.rgb.shape[0] * shot.rgb.shape[1], len(seen.index))
 
@@ -147,8 +146,7 @@ class SplatModel:
         viewpoint = Viewpoint(camera, T_world_cam)
         drawing = replace(self._drawing(), median=True, degree=self.settings.degree)
         seen = self._splat.rasterise(self.gaussians, viewpoint, drawing)
-        rgb, change = self.backdrop.behind(seen, viewpoint), self._change(T_world_cam)
-        rgb = (rgb if change is None else changed(rgb, change)).clamp(0, 1)
+        rgb = self._splat.show(seen, self.backdrop.behind(viewpoint, self._change(T_world_cam))).rgb.clamp(0, 1)
         parts = (rgb, seen.depth_m(OPACITY_FLOOR), seen.median_m, seen.opacity)
         return RenderedView(*(part.cpu().numpy() for part in parts))
 

@@ -1,6 +1,6 @@
 """Shot: a training frame as a step sees it, a whole image with what is known of it."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
@@ -13,6 +13,9 @@ from nerf.scene import Scene
 from nerf.types import Rays
 from priors.geometry import rays as pixel_rays
 from priors.types import Camera
+
+KEPT_BYTES = 256 << 20
+"""Frames of so many bytes are kept."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +39,11 @@ class Shot:
     """Its number among the training frames; None: a virtual view."""
     share: float = 1.0
     """Share of the steps that know what this one knows of depth and sky."""
-    late: bool = False
-    """Whether it is a frame that was learned from often enough to tell what of it the others contradict."""
 
-    def only(self, counts: Tensor) -> "Shot":
-        """Return the view with pixels (h, w) that count so much, in colour and in depth."""
-        return replace(self, counts=counts, weight=None if self.weight is None else self.weight * counts)
+    @property
+    def nbytes(self) -> int:
+        """How much memory it takes."""
+        return sum(x.nbytes for x in (self.rgb, self.depth_m, self.weight, self.sky) if x is not None)
 
 
 def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device) -> Shot:
@@ -53,6 +55,25 @@ def shot_of(scene: Scene, position: int, rules: LossConfig, device: torch.device
     weight = prior_weight(rules, Rays(rgb, rgb, depth_m=depth_m, weight=trust))
     viewpoint = Viewpoint(scene.camera, scene.T_world_cam[position])
     return Shot(position, viewpoint, rgb, depth_m, weight, sky, frame=scene.train.index(position))
+
+
+class Shots:
+    """A fit's training frames as steps see them; so many as KEPT_BYTES hold are made once."""
+
+    def __init__(self) -> None:
+        self._kept: dict[int, Shot] = {}
+        self._of: tuple[Scene, LossConfig] | None = None
+
+    def __call__(self, scene: Scene, position: int, rules: LossConfig, device: torch.device) -> Shot:
+        """Return a frame; those of another scene, or by other rules, are forgotten."""
+        if self._of is None or self._of[0] is not scene or self._of[1] != rules:
+            self._kept, self._of = {}, (scene, rules)
+        if position in self._kept:
+            return self._kept[position]
+        shot = shot_of(scene, position, rules, device)
+        if (len(self._kept) + 1) * shot.nbytes <= KEPT_BYTES:
+            self._kept[position] = shot
+        return shot
 
 
 def position_at(train: list[int], seed: int, step: int) -> int:
@@ -71,11 +92,19 @@ class Directions:
 
     def __call__(self, viewpoint: Viewpoint, flat: Tensor) -> Tensor:
         """Return unit directions (r, 3) in the scene's frame through pixels (r,), row * width + column."""
-        key = viewpoint.camera.K.tobytes(), viewpoint.camera.size
-        if key != self._key or self._units.device != flat.device:
-            self._key, self._units = key, torch.from_numpy(_units(viewpoint.camera)).to(flat.device)
-        rotation = torch.from_numpy(viewpoint.T_world_cam[:3, :3].astype(np.float32)).to(flat.device)
-        return self._units[flat] @ rotation.T
+        return self.of(viewpoint.camera, flat.device)[flat] @ rotation_of(viewpoint, flat.device).T
+
+    def of(self, camera: Camera, device: torch.device) -> Tensor:
+        """Return unit directions (h * w, 3) through all pixels, in the camera's frame."""
+        key = camera.K.tobytes(), camera.size
+        if key != self._key or self._units.device != device:
+            self._key, self._units = key, torch.from_numpy(_units(camera)).to(device)
+        return self._units
+
+
+def rotation_of(viewpoint: Viewpoint, device: torch.device) -> Tensor:
+    """Return the rotation (3, 3) from a camera's frame to the scene's."""
+    return torch.from_numpy(viewpoint.T_world_cam[:3, :3].astype(np.float32)).to(device)
 
 
 def _units(camera: Camera) -> npt.NDArray[np.float32]:

@@ -9,7 +9,7 @@ empty gets a coarse layer, at a depth that is filled in from around. Without a p
 
 from collections import OrderedDict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,7 @@ from nerf.gaussians.look import Look, look_at
 from nerf.gaussians.seeds import Lattice, Seeds
 from nerf.scene import Scene
 from nerf.warp.frames import unlike_m
+from priors.machine import threads
 
 Flags = npt.NDArray[np.bool_]
 
@@ -27,8 +28,8 @@ SURE = 0.1
 """Trust from which on a value is taken in the first pass."""
 NEIGHBOURS = 4
 """Frames that are asked whether they look through a place."""
-KEPT = 16
-"""Frames that are kept prepared."""
+KEPT_BYTES = 256 << 20
+"""Prepared frames of so many bytes are kept: the passes need each three times."""
 CELLS = 30_000
 """Cells of a frame, about, where nobody says how fine the start is."""
 LEAST_STEP = 2
@@ -54,12 +55,11 @@ def start_of(scene: Scene, step: int, most: int) -> Seeds:
         most: how many seeds there may be; where `step` gives more, it is raised.
     """
     most = most if step else int(ROOM * most)
-    step = step or usual_step(scene.camera.size)
-    while True:
-        seeds = _Start(scene, step).seeds()
-        if len(seeds) <= most:
-            return seeds
-        step += max(1, int(step * (np.sqrt(len(seeds) / most) - 1)))
+    start = _Start(scene, step or usual_step(scene.camera.size))
+    while len(seeds := start.seeds()) > most:
+        coarser = start.step + max(1, int(start.step * (np.sqrt(len(seeds) / most) - 1)))
+        start = replace(start, step=coarser, cover=Cover())
+    return seeds
 
 
 @dataclass(frozen=True)
@@ -74,6 +74,7 @@ class _Start:
     def seeds(self) -> Seeds:
         """Go through the frames, pass by pass."""
         last_first = self.scene.train[::-1]
+        self._prepare(last_first)
         sure = [self._surface(position, lambda at: at.trust >= SURE) for position in last_first]
         guessed = [self._surface(position, lambda at: at.trust > 0) for position in last_first]
         return Seeds.joined([*sure, *guessed, *[self._coarse(position) for position in last_first]])
@@ -105,10 +106,23 @@ class _Start:
         order = {at: np.argsort(unlike_m(poses[train], poses[at]), kind="stable") for at in self.scene.train}
         return {at: [int(other) for other in train[found] if other != at][:NEIGHBOURS] for at, found in order.items()}
 
+    def _prepare(self, positions: list[int]) -> None:
+        """Prepare the frames side by side, where all of them can be kept."""
+        made = [self._look(positions[0])] * len(positions)
+        if len(made) > KEPT_BYTES // made[0].nbytes or set(positions) <= self._looks.keys():
+            return
+
+        def prepare(task: int) -> None:
+            made[task] = look_at(self.scene, positions[task])
+            made[task].normals  # noqa: B018 - they are kept
+
+        threads.run(len(positions), prepare)
+        self._looks.update(zip(positions, made, strict=True))
+
     def _look(self, position: int) -> Look:
         if position not in self._looks:
             self._looks[position] = look_at(self.scene, position)
-            if len(self._looks) > KEPT:
+            while len(self._looks) > max(NEIGHBOURS + 1, KEPT_BYTES // self._looks[position].nbytes):
                 self._looks.popitem(last=False)
         self._looks.move_to_end(position)
         return self._looks[position]

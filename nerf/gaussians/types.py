@@ -225,3 +225,43 @@ class ColourLoss(NamedTuple):
     """(1 - share) absolute + share * dissimilarity."""
     d_rgb: Tensor
     """(height, width, 3) derivative of the total."""
+
+
+class Behind(NamedTuple):
+    """What lies behind Gaussians, and how a frame's colours differ from theirs."""
+
+    texels: Tensor
+    """(t, 3) of the sky's pictures, one after the other: the sigmoid of what they sum up to is its colour."""
+    sizes: tuple[int, ...]
+    """Texels along a side of each."""
+    units: Tensor
+    """(h * w, 3) unit directions through the pixels, in the camera's frame."""
+    rotation: Tensor
+    """(3, 3) from the camera's frame to the scene's."""
+    change: Tensor | None
+    """(3, 4) A - 1 and b of a frame's affine change of colour; None: there is none."""
+    clear: float
+    """The sky is seen where more light than this share passes, and learns there."""
+
+
+class Shown(NamedTuple):
+    """What a frame shows."""
+
+    rgb: Tensor
+    """(h, w, 3), not clamped."""
+    behind: Behind
+    kept: Any
+    """What the way back needs; the kernels' own."""
+
+
+class ShownGradients(NamedTuple):
+    """Derivatives of a loss by what a frame's picture is made of."""
+
+    rgb: Tensor
+    """(h, w, 3) by `Rasterised.rgb`."""
+    opacity: Tensor
+    """(h, w) by `Rasterised.opacity`: what the sky gives."""
+    texels: Tensor
+    """(t, 3)"""
+    change: Tensor | None
+    """(3, 4); None: there is no change."""

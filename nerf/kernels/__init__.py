@@ -17,12 +17,15 @@ import torch
 from torch import Tensor
 
 from nerf.gaussians.types import (
+    Behind,
     ColourLoss,
     Contributions,
     Drawing,
     Gaussians,
     Rasterised,
     Rates,
+    Shown,
+    ShownGradients,
     SplatGradients,
     SplatMoments,
     ViewGradients,
@@ -155,6 +158,12 @@ class SplatKernels(Protocol):
 
     def backward(self, rasterised: Rasterised, gradients: ViewGradients) -> SplatGradients:
         """Return a loss's derivatives by the Gaussians in view; the background's is d_rgb (1 - opacity)."""
+
+    def show(self, seen: Rasterised, behind: Behind) -> Shown:
+        """Return what a frame shows of what was rasterised before black: the sky behind it, in the frame's colours."""
+
+    def unshow(self, seen: Rasterised, shown: Shown, d_rgb: Tensor) -> ShownGradients:
+        """Return a loss's derivatives from those (h, w, 3) by what is shown."""
 
     def adam(
         self, gaussians: Gaussians, gradients: SplatGradients, moments: SplatMoments, rates: Rates, step: int

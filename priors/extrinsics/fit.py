@@ -7,49 +7,34 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from priors.extrinsics.correction import NONE, Correction
-from priors.extrinsics.surfaces import COLUMNS, DELAY, MISMATCH_PX, PLACE, RECTIFICATION, TURN, SurfaceView
+from priors.extrinsics.belief import AHEAD_M, PRIOR, UNKNOWNS, Belief
+from priors.extrinsics.correction import Correction
+from priors.extrinsics.surfaces import COLUMNS, DELAY, MISMATCH_PX, RECTIFICATION, TURN, SurfaceView
 from priors.pairs.rectification import EXPECTED_SPREAD, NOISE_PX, RectificationError
 
 Floats = npt.NDArray[np.float64]
 
-UNKNOWNS = ("pitch", "yaw", "roll", "delay", "aside", "down", "ahead")
-"""Of the LiDAR, in the order of the columns from TURN on."""
-ROUNDS, ROUNDS_NEAR = 24, 8
-FINEST_PX, COARSEST_PX, NEAR_PX, FALL = 0.15, 2.0, 0.5, 0.75
-"""Scale of Cauchy's weights at the end, at the beginning, and where the start is near; how it falls from round to
-round."""
-PLACE_M = 0.01
-"""How well a calibration knows where the LiDAR is, sideways and upwards (standard deviation), metres."""
+ROUNDS = 24
+FINEST_PX, COARSEST_PX, FALL = 0.15, 2.0, 0.75
+"""Scale of Cauchy's weights at the end and at the beginning; how it falls from round to round."""
 BIAS_PX, BIAS_AT_M = 0.1, 10.0
-"""Forward it is known as well as a match that is so far off sees a surface there: its bias looks the same."""
+"""A match that is so far off sees a surface there nearer or farther: its bias looks like a LiDAR that stands ahead."""
 HOLD_PX = 20.0
 """Noise of one residual beside the spread that is expected of the pair's rectification: the residuals of a frame share
 what the match does wrong, and a turn is likelier than a pair that is off."""
+YAW_PX = 0.25
+"""Error of yaw that more frames do not lower (standard deviation), in the images that are matched."""
 FEWEST = 500
 """Points in all frames."""
-
-
-@dataclass(frozen=True)
-class Held:
-    """What is not fitted beside the rest, and how well it is known (standard deviations)."""
-
-    yaw_deg: float = 0.0
-    delay_s: float = 0.0
-    aside_m: float = PLACE_M
+SCALES = np.array([*np.degrees(np.ones(3)), 1, 1, 1, 1])
+"""From the columns' units, with angles in radians, to those of UNKNOWNS."""
 
 
 @dataclass(frozen=True)
 class Fit:
     """What surfaces say."""
 
-    correction: Correction
-    errors: Floats
-    """(len(UNKNOWNS),) standard errors of pitch, yaw and roll, degrees, of the delay, seconds, and of the place,
-    metres; inf where held."""
-    yaw_by_aside: float
-    """How many degrees yaw would be fitted more for each metre that the LiDAR is taken to stand farther to the right;
-    0 where yaw is held."""
+    belief: Belief
     rectification: RectificationError
 
 
@@ -64,41 +49,34 @@ class _Sums(NamedTuple):
     """Points that were compared."""
 
 
-def fit_surfaces(
-    views: Sequence[SurfaceView], start: Correction, free: Sequence[str] = UNKNOWNS[:4], held: Held = Held()
-) -> Fit | None:
-    """Fit what is free of turn and delay, the LiDAR's height and how far it is ahead, and the pair's rectification.
+def fit_surfaces(views: Sequence[SurfaceView]) -> Fit | None:
+    """Fit turn, delay and place of the LiDAR, and the pair's rectification, to what surfaces show.
 
-    Reweighted least squares (Cauchy's weights). The place and the rectification have priors: they are not far off.
-
-    Args:
-        views: of several frames.
-        start: what it starts from: nothing, or what is near already; what is not free stays so. How far the LiDAR is
-            aside is not fitted: edges tell.
-        free: unknowns among turn and delay.
-        held: how well the rest is known: the errors of what is fitted hold that.
+    Reweighted least squares (Cauchy's weights). The place and the rectification have priors: they are not far off. A
+    delay is fitted where the car's motion is known in some frame.
 
     Returns:
         the fit; None where few points are compared.
     """
     if not views:
         return None
-    columns = [*range(TURN.start), *(TURN.start + UNKNOWNS.index(name) for name in (*free, "down", "ahead"))]
+    columns = [n for n in range(COLUMNS) if n != DELAY or any(view.points.rate_m_s.any() for view in views)]
     usual = np.zeros(COLUMNS)
     usual[RECTIFICATION] = *views[0].usual.offset_px, views[0].usual.scale - 1
     values = usual.copy()
-    values[TURN], values[DELAY], values[PLACE] = np.radians(start.turn_deg), start.delay_s, start.moved_m
-    ridge = np.diag(_stiffness(views[0])[columns])
-    rounds, coarsest_px = (ROUNDS, COARSEST_PX) if start == NONE else (ROUNDS_NEAR, NEAR_PX)
-    for number in range(rounds):
-        sums = _sum(views, values, max(FINEST_PX, coarsest_px * FALL**number))
+    bias_m = BIAS_PX * BIAS_AT_M**2 / views[0].fx_baseline
+    ridge = np.diag(_stiffness(bias_m)[columns])
+    for number in range(ROUNDS):
+        sums = _sum(views, values, max(FINEST_PX, COARSEST_PX * FALL**number))
         if sums.compared < FEWEST:
             return None
         H = sums.H.sum(axis=0)[np.ix_(columns, columns)] + ridge
         values[columns] += np.linalg.solve(H, sums.g.sum(axis=0)[columns] - ridge @ (values - usual)[columns])
-    errors, by_aside = _errors(sums, H, columns, held)
-    errors[: TURN.stop - TURN.start] = np.degrees(errors[: TURN.stop - TURN.start])
-    return Fit(_correction(values), errors, by_aside, _rectification(values))
+    covariance = np.diag(np.square([*np.ones(TURN.start), *(PRIOR / SCALES)]))
+    covariance[np.ix_(columns, columns)] = _covariance(sums, H, columns)
+    belief = Belief(values[TURN.start :] * SCALES, covariance[TURN.start :, TURN.start :] * np.outer(SCALES, SCALES))
+    belief = belief.less_sure("yaw", float(np.degrees(YAW_PX / views[0].camera.fx)))
+    return Fit(_unbiased(belief, bias_m), _rectification(values))
 
 
 def _sum(views: Sequence[SurfaceView], values: Floats, scale_px: float) -> _Sums:
@@ -114,40 +92,37 @@ def _sum(views: Sequence[SurfaceView], values: Floats, scale_px: float) -> _Sums
     return _Sums(np.array(parts_H), np.array(parts_g), count)
 
 
-def _errors(sums: _Sums, H: Floats, columns: list[int], held: Held) -> tuple[Floats, float]:
-    """Return the standard errors (len(UNKNOWNS),), inf where held, radians, and Fit.yaw_by_aside.
+def _covariance(sums: _Sums, H: Floats, columns: list[int]) -> Floats:
+    """Return the covariance of the columns that are fitted.
 
-    They join those of an M-estimator (Huber 1967), frames being independent of each other; what neighbouring points of
-    a frame have in common (NOISE_PX); and what is held ("consider" covariance, Schmidt 1966).
+    It joins that of an M-estimator (Huber 1967), frames being independent of each other, and what neighbouring points
+    of a frame have in common (NOISE_PX).
     """
     inverse = np.linalg.inv(H)
     g = sums.g[:, columns] - sums.g[:, columns].mean(axis=0)
     frames = len(g)
-    covariance = inverse @ (g.T @ g * frames / max(1, frames - 1)) @ inverse + inverse * NOISE_PX**2
-    yaw = TURN.start + UNKNOWNS.index("yaw")
-    considered = {PLACE.start: held.aside_m, yaw: np.radians(held.yaw_deg), DELAY: held.delay_s}
-    considered = {column: error for column, error in considered.items() if column not in columns}
-    moved = inverse @ sums.H.sum(axis=0)[np.ix_(columns, list(considered))]
-    covariance += (moved * np.square(list(considered.values()))) @ moved.T
-    errors = np.full(COLUMNS, np.inf)
-    errors[columns] = np.sqrt(np.maximum(0, np.diag(covariance)))
-    by_aside = -float(np.degrees(moved[columns.index(yaw), 0])) if yaw in columns else 0.0
-    return errors[TURN.start :], by_aside
+    return np.asarray(inverse @ (g.T @ g * frames / max(1, frames - 1)) @ inverse + inverse * NOISE_PX**2)
 
 
-def _stiffness(view: SurfaceView) -> Floats:
+def _stiffness(bias_m: float) -> Floats:
     """Return how firmly each column (COLUMNS,) is held at what is usual: the noise over the spread, squared."""
-    stiff = np.zeros(COLUMNS)
-    stiff[RECTIFICATION] = np.square(HOLD_PX / np.array(EXPECTED_SPREAD)[: RECTIFICATION.stop])
-    ahead_m = BIAS_PX * BIAS_AT_M**2 / view.fx_baseline
-    stiff[PLACE] = np.square(NOISE_PX / np.array([PLACE_M, PLACE_M, ahead_m]))
-    return stiff
+    spread = PRIOR / SCALES
+    spread[-1] = np.hypot(spread[-1], bias_m)
+    pair = HOLD_PX / np.array(EXPECTED_SPREAD)[: RECTIFICATION.stop]
+    return np.square(np.concatenate([pair, NOISE_PX / spread]))
+
+
+def _unbiased(belief: Belief, bias_m: float) -> Belief:
+    """Return the belief in which "ahead" is the LiDAR's place alone: what was fitted is that and the match's bias."""
+    share = AHEAD_M**2 / (AHEAD_M**2 + bias_m**2)
+    part = np.diag([*np.ones(len(UNKNOWNS) - 1), share])
+    covariance = part @ belief.covariance @ part
+    covariance[-1, -1] += share * bias_m**2
+    return Belief(part @ belief.mean, covariance)
 
 
 def _correction(values: Floats) -> Correction:
-    pitch, yaw, roll = np.degrees(values[TURN]).tolist()
-    right, down, forward = values[PLACE].tolist()
-    return Correction((pitch, yaw, roll), float(values[DELAY]), (right, down, forward))
+    return Belief(values[TURN.start :] * SCALES, np.zeros((0, 0))).correction
 
 
 def _rectification(values: Floats) -> RectificationError:

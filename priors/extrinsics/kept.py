@@ -17,7 +17,7 @@ from priors.extrinsics.measured import Measured
 from priors.keys import key_of
 from priors.types import Drive, Frame
 
-VERSION = 2
+VERSION = 3
 """Raised when what is measured changes."""
 FORMAT, MADE_OF = 1, "made_of"
 

@@ -10,12 +10,12 @@ from priors.extrinsics.correction import NONE, Correction
 
 AXES = ("pitch", "yaw", "roll")
 SIDES = ("right", "down", "forward")
-SURE = 2.5
-"""An angle or a delay counts from so many standard errors on: by chance one in a hundred does. Below, a calibration is
-rather right than the measurement."""
+SURE = 3.0
+"""A turn, an angle or a delay counts from so many standard errors on: by chance one in 400 does. Below, a calibration
+is rather right than the measurement."""
 TURNED_DEG, LATE_S = 0.1, 0.005
-"""A turn and a delay that are larger, by SURE standard errors, are told and corrected: 1.3 px at KITTI's focal length,
-and 7 cm at 50 km/h."""
+"""A turn and a delay that count, and are larger by one standard error, are told and corrected: 1.3 px at KITTI's focal
+length, and 7 cm at 50 km/h."""
 Three: TypeAlias = tuple[float, float, float]
 UNSEEN: Three = (np.inf, np.inf, np.inf)
 
@@ -44,9 +44,10 @@ class Measured:
 
     @property
     def is_off(self) -> bool:
-        """Whether the calibration is surely off by more than what counts."""
-        turned = self.correction.size_deg - SURE * self.error_deg > TURNED_DEG
-        return turned or abs(self.correction.delay_s) - SURE * self.delay_error_s > LATE_S
+        """Whether the calibration is surely off, and likely by more than TURNED_DEG or LATE_S."""
+        return is_sure(self.correction.size_deg, self.error_deg, TURNED_DEG) or is_sure(
+            self.correction.delay_s, self.delay_error_s, LATE_S
+        )
 
     @property
     def sure(self) -> Correction:
@@ -114,6 +115,11 @@ class Measured:
         a, b, c, delay = _or_inf(record["errors"])
         x, y, z = _or_inf(record["moved_errors"])
         return cls(correction, (a, b, c), delay, (x, y, z), list(record["frames"]))
+
+
+def is_sure(value: float, error: float, limit: float) -> bool:
+    """Tell whether a value is surely not 0, and likely beyond a limit, by its standard error."""
+    return abs(value) >= SURE * error and abs(value) - error > limit
 
 
 def _or_null(errors: Sequence[float]) -> list[float | None]:

@@ -1,6 +1,6 @@
 """The maps of several sensors of one frame joined to one: each pixel has one surface, that of the most credible part.
 
-1. Every part says by its confidence which relative error to expect. What was inferred from one image counts with four
+1. Every part says by its confidence which relative error to expect. What was inferred from one image counts with 1.5
    times that error: it is wrong by whole objects, which no pixel's confidence tells.
 2. A pixel's surface is that of the part with the least error to expect. Parts that agree with it within their errors
    are averaged, each by its 1 / error^2; others are of another surface, or wrong, and are left out. Nothing is averaged
@@ -19,12 +19,12 @@ from priors.error_model import MOST, WITHIN, chance_of, relative_spread
 from priors.errors import DataError
 from priors.types import Depth, FloatMap, Mask
 
-VERSION = 1
+VERSION = 2
 """Of how parts are joined: part of the cache's key."""
 USUAL_SPREAD = 0.02
 """Mean relative error to expect of a map that does not tell its own."""
-INFERRED = 4.0
-"""Errors of an inferred part count so many times: chosen on drive 0009 and the street, see docs/methods/fused.md."""
+INFERRED = 1.5
+"""Errors of an inferred part count so many times: chosen on drives and streets, see docs/methods/fused.md."""
 AGREE_SPREADS = 1.0
 """Two parts agree where they differ by no more than so many of their spreads."""
 ONE_SURFACE = 0.1

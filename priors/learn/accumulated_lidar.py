@@ -80,7 +80,7 @@ def _accumulate(frame: Frame, source: str) -> LidarScene:
     own_m[hidden(np.where(own_m > 0, own_m, np.float32(np.inf)), frame.camera.fx)] = 0
     sure = (accumulated.confidence > SURE) & agrees(accumulated.depth_m, own_m)
     truth_m = np.where(sure, accumulated.depth_m, np.float32(0))
-    accumulated_m = tuple(Lidar(sweeps=count)(frame).depth_m for count in INPUTS)
+    accumulated_m = {count: Lidar(sweeps=count)(frame).depth_m for count in INPUTS}
     return replace(scene, truth_m=truth_m, accumulated_m=accumulated_m)
 
 

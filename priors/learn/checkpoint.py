@@ -56,6 +56,14 @@ def about_run(out: Path) -> dict[str, str | None]:
     return about
 
 
+def seconds_of(out: Path) -> float:
+    """Return how long a run has trained so far; 0 where there is none yet."""
+    try:
+        return float(json.loads((out / RECORD).read_text(encoding="utf-8"))["seconds"])
+    except (OSError, ValueError, KeyError):
+        return 0.0
+
+
 def pack_run(run: Path, out: Path) -> None:
     """Write the best weights of a run to a file in half precision; DataError where the run has none yet.
 

@@ -5,7 +5,9 @@ truth is dense and exact, of KITTI 2015, and of real drives, where points that i
 shown one to eleven sweeps, 64 to 8 scan lines, or random points.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +16,15 @@ from torch import Tensor, nn
 
 from priors.adapt.augment import augment
 from priors.adapt.objective import masked_mean
-from priors.adapt.training_step import Batch
+from priors.adapt.training_step import Batch, to_device
 from priors.draw.colours import colour_depth, colour_error, thicken
 from priors.errors import DataError
 from priors.learn import lidar_scene
 from priors.learn.accumulated_lidar import INPUTS
+from priors.learn.crop_pack import CropPack
 from priors.learn.lidar_dropout import CompletionExample, Density, drop_points
 from priors.learn.lidar_scene import LidarScene
+from priors.learn.moment import STREET, Moment
 from priors.learn.real_scenes import RealScenes
 from priors.learn.sample_folder import SampleFolder
 from priors.methods._completion_classical import EVERYWHERE_PX, complete
@@ -49,6 +53,8 @@ class CompletionConfig:
     real: Path | None = None
     """KITTI raw drive with sweeps, or a folder with such in kitti_raw_train/ and with pairs in kitti_stereo2015/;
     never what is tested on."""
+    crops: Path | None = None
+    """Pack of `priors train pack-crops`, in place of `street` and `real`."""
     real_share: float = 0.55
     """Share of real crops in a batch."""
     batch: int = 4
@@ -78,8 +84,20 @@ class CompletionTask:
     def __post_init__(self) -> None:
         torch.manual_seed(0)
         self.net = Mffnet(self.config.size)
-        self.samples = SampleFolder(self.config.street)
-        self.real = None if self.config.real is None else RealScenes(self.config.real)
+        self.real: RealScenes | None = None
+        self._street: list[Callable[[], LidarScene]]
+        self._streets_held_back: list[Callable[[], LidarScene]]
+        if self.config.crops is not None:
+            pack = CropPack(self.config.crops)
+            self._street, self._streets_held_back = _packed(pack.train), _packed(pack.held_back)
+            self.real = RealScenes.packed(pack)
+        else:
+            samples = SampleFolder(self.config.street)
+            every = max(1, len(samples.validation) // self.config.validation)
+            self._street = [partial(lidar_scene.read_street, path) for path in samples.train]
+            self._streets_held_back = [partial(lidar_scene.read_street, p) for p in samples.validation[::every]]
+            if self.config.real is not None:
+                self.real = RealScenes.read(self.config.real)
         self._held_back: dict[str, list[tuple[CompletionExample, Batch]]] | None = None
 
     def batch(self, step: int, rng: np.random.Generator) -> Batch:
@@ -120,8 +138,7 @@ class CompletionTask:
         for name, examples in self._validation().items():
             sums = np.zeros(8)
             for _, batch in examples:
-                with torch.autocast("cpu", torch.bfloat16):
-                    out = _run(net, batch)
+                out = _look(net, batch)
                 counts = batch["weight"] > LEAST_WEIGHT
                 truth_m, fill_m = batch["truth_m"][counts], batch["fill_m"][counts]
                 error, before = (out.depth_m[counts] - truth_m).abs(), (fill_m - truth_m).abs()
@@ -139,8 +156,7 @@ class CompletionTask:
         drawn = {}
         for name, examples in self._validation().items():
             example, batch = examples[0]
-            with torch.autocast("cpu", torch.bfloat16):
-                out = _run(net, batch)
+            out = _look(net, batch)
             drawn[name] = make_picture(example, batch["fill_m"][0].numpy(), out.depth_m[0].numpy())
         return drawn
 
@@ -150,11 +166,11 @@ class CompletionTask:
 
     def _draw_scene(self, rng: np.random.Generator) -> LidarScene:
         """Draw a crop of a street or of a real scene, now and then mirrored, nearer or farther."""
-        if self.real is not None and rng.random() < self.config.real_share:
+        if self.real is not None and self.real.train and rng.random() < self.config.real_share:
             scenes = list(self.real.train.values())[rng.choice(len(self.real.train), p=self.real.shares())]
             scene = scenes[rng.integers(len(scenes))]
         else:
-            scene = lidar_scene.read_street(self.samples.train[rng.integers(len(self.samples.train))])
+            scene = self._street[rng.integers(len(self._street))]()
         scene = lidar_scene.crop(scene, *_draw_corner(scene, rng), CROP)
         if rng.random() < 0.5:
             scene = lidar_scene.flip(scene)
@@ -162,9 +178,7 @@ class CompletionTask:
 
     def _validation(self) -> dict[str, list[tuple[CompletionExample, Batch]]]:
         if self._held_back is None:
-            paths = self.samples.validation
-            every = max(1, len(paths) // self.config.validation)
-            held_back = [lidar_scene.read_street(path) for path in paths[::every]]
+            held_back = [read() for read in self._streets_held_back]
             if self.real is not None:
                 held_back += [scene for scenes in self.real.validation.values() for scene in scenes]
             self._held_back = _examples(held_back)
@@ -176,14 +190,26 @@ def _examples(scenes: list[LidarScene]) -> dict[str, list[tuple[CompletionExampl
     rng, shown = np.random.default_rng(7), dict[str, int]()
     examples: dict[str, list[tuple[CompletionExample, Batch]]] = {}
     for scene in scenes:
-        single = scene.real and not scene.accumulated_m
-        densities = [density for density in DENSITIES if density.sweeps == 1 or not single]
+        shown_as = (1, *(scene.accumulated_m if scene.real else INPUTS))
+        densities = [density for density in DENSITIES if density.sweeps in shown_as]
         turn = shown[scene.source] = shown.get(scene.source, -1) + 1
         density = densities[turn % len(densities)]
         example = drop_points(scene, rng, density)
         batch = to_batch(example, scene.image, example.T_cam_lidar)
         examples.setdefault(f"{scene.source}_{density}", []).append((example, batch))
     return examples
+
+
+def _packed(part: dict[str, list[Moment]]) -> list[Callable[[], LidarScene]]:
+    return [moment.scene for moment in part.get(STREET, [])]
+
+
+def _look(net: nn.Module, batch: Batch) -> Completed:
+    """Run a network where it is; the maps come back to the CPU."""
+    device = next(net.parameters()).device
+    with torch.autocast(device.type, torch.bfloat16):
+        out = _run(net, to_device(batch, device))
+    return Completed(out.depth_m.float().cpu(), out.log_scale.float().cpu(), ())
 
 
 def _run(net: nn.Module, batch: Batch) -> Completed:

@@ -33,6 +33,8 @@ class TrainConfig:
     """Seconds between checkpoints."""
     seed: int = 0
     """Decides the batches."""
+    workers: int = 1
+    """Threads that make batches; the batches do not depend on it. A GPU wants as many as there are cores."""
     threads: int | None = None
     """CPU threads; default: as many as PyTorch is set to."""
 
@@ -45,6 +47,7 @@ class TrainConfig:
             expect_between(1, getattr(self, name), MOST_STEPS, _flag(name))
         expect_between(0, self.warm_up, MOST_STEPS, "--warm-up")
         expect_between(0, self.seed, LARGEST_SEED, "--seed")
+        expect_between(1, self.workers, MOST_THREADS, "--workers")
         expect_between(1, self.threads, MOST_THREADS, "--threads")
         expect(0 <= self.ema < 1, "--ema", self.ema, "0 or more, and less than 1")
 

@@ -90,7 +90,7 @@ def accumulate(scene: LidarScene, rng: np.random.Generator, sweeps: int) -> Comp
     """
     if not scene.real:
         return _example(scene, _drive_on(scene, rng, sweeps), scene.truth_m, None)
-    sparse_m = scene.accumulated_m[int(np.argmin([abs(count - sweeps) for count in INPUTS]))].copy()
+    sparse_m = scene.accumulated_m[min(scene.accumulated_m, key=lambda count: abs(count - sweeps))].copy()
     out = _gaps(scene.points_m, scene.beam, rng)
     held_out_m = np.where(splat(scene.points_m[out], scene.camera) > 0, own_m(scene), np.float32(0))
     sparse_m[held_out_m > 0] = 0

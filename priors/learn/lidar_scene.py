@@ -4,7 +4,8 @@ There are two kinds: the procedural street, whose truth is dense and exact, and 
 whose truth is the benchmark's, and drives, whose truth is what several sweeps saw (accumulated_lidar.py).
 """
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -40,8 +41,8 @@ class LidarScene:
     """(h, w) 0 = unknown."""
     real: bool
     """Truth is accumulated LiDAR, sparse and with what its cleaning left over."""
-    accumulated_m: tuple[FloatMap, ...] = ()
-    """What the lidar method makes of several sweeps, (h, w) each, 0 = none: other inputs than the own points."""
+    accumulated_m: Mapping[int, FloatMap] = field(default_factory=dict)
+    """What the lidar method makes of so many sweeps, (h, w) each, 0 = none: other inputs than the own points."""
     source: str = "street"
     """Where it comes from, for figures."""
 
@@ -68,7 +69,7 @@ def crop(scene: LidarScene, top: int, left: int, size: tuple[int, int]) -> Lidar
         points_m=scene.points_m[inside],
         beam=scene.beam[inside],
         truth_m=scene.truth_m[rows, columns],
-        accumulated_m=tuple(map_[rows, columns] for map_ in scene.accumulated_m),
+        accumulated_m={count: map_[rows, columns] for count, map_ in scene.accumulated_m.items()},
     )
 
 
@@ -83,7 +84,7 @@ def flip(scene: LidarScene) -> LidarScene:
         T_cam_lidar=T,
         points_m=scene.points_m * np.array([-1, 1, 1], np.float32),
         truth_m=mirror_columns(scene.truth_m),
-        accumulated_m=tuple(mirror_columns(map_) for map_ in scene.accumulated_m),
+        accumulated_m={count: mirror_columns(map_) for count, map_ in scene.accumulated_m.items()},
     )
 
 
@@ -92,7 +93,7 @@ def rescale(scene: LidarScene, factor: float) -> LidarScene:
     T = scene.T_cam_lidar.copy()
     T[:3, 3] *= factor
     size = np.float32(factor)
-    accumulated_m = tuple(map_ * size for map_ in scene.accumulated_m)
+    accumulated_m = {count: map_ * size for count, map_ in scene.accumulated_m.items()}
     return replace(
         scene,
         T_cam_lidar=T,

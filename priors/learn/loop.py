@@ -26,7 +26,7 @@ from priors.learn.training_run import Task, TrainingRun
 from priors.machine import threads
 
 AHEAD = 3
-"""Batches made in advance by the background thread."""
+"""Batches made in advance by the background threads, and another one for each thread after the first."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +62,8 @@ def train(
     with threads.limited(config.threads), Interrupt() as interrupt:
         run = TrainingRun(task, out, config, about or {}, device)
         run.resume()
+        if run.step == 0 and run.about.get("start"):
+            run.validate()  # so that nothing worse than the start is ever the best
         _take_steps(run, on_step, interrupt)
         if not interrupt.asked:
             run.validate()
@@ -71,10 +73,11 @@ def train(
 
 def _take_steps(run: TrainingRun, on_step: Callable[[TrainProgress], None], interrupt: "Interrupt") -> None:
     """Train until the run is done or interrupted; batches are made ahead in the background."""
-    with ThreadPoolExecutor(max_workers=1) as pool:
+    workers = run.config.workers
+    with ThreadPoolExecutor(max_workers=workers) as pool:
         ahead: dict[int, Future[Batch]] = {}
         while run.progress() < 1 and not interrupt.asked:
-            for step in range(run.step, run.step + AHEAD):
+            for step in range(run.step, run.step + AHEAD + workers - 1):
                 if step not in ahead:
                     ahead[step] = pool.submit(run.task.batch, step, np.random.default_rng([run.config.seed, step]))
             values = run.advance(ahead.pop(run.step).result())

@@ -6,7 +6,9 @@ It learns from procedural streets (dense, exact), and from real views (real_view
 official truth, LiDAR and confident stereo.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,8 @@ from priors.codecs import as_rgb
 from priors.draw.colours import colour_depth, thicken
 from priors.errors import DataError
 from priors.learn import pair_file
+from priors.learn.crop_pack import CropPack
+from priors.learn.moment import STREET
 from priors.learn.real_views import SHARES, RealViews
 from priors.learn.sample_folder import SampleFolder
 from priors.nets import bts
@@ -44,14 +48,16 @@ class MonoConfig:
     """Folder that holds kitti_stereo2015, kitti_raw_train, kitti_odometry or some of them; none: streets only."""
     cache: Path = Path("cache")
     """Where the stereo depth of the odometry pairs is kept."""
+    crops: Path | None = None
+    """Pack of `priors train pack-crops`, in place of `street` and `data`."""
+    imagenet: bool = True
+    """Start size m from the ImageNet weights of the package that mobile.IMAGENET names."""
     real_share: float = 0.6
     """Share of real images in a batch."""
     batch: int = 4
     """Crops in a step."""
     size: str = "m"
     """The network's size."""
-    imagenet: bool = True
-    """Start size m from the ImageNet weights of the package that mobile.IMAGENET names."""
 
     def __post_init__(self) -> None:
         if self.batch < 1 or not 0 <= self.real_share <= 1:
@@ -71,8 +77,15 @@ class MonoTask:
         net = self.net = bts.Bts(self.config.size)
         if self.config.imagenet and isinstance(net.trunk, Mobile):
             net.trunk.take_imagenet()
-        self._samples = SampleFolder(self.config.street)
-        validation = self._samples.validation
+        if self.config.crops is not None:
+            pack = CropPack(self.config.crops)
+            self._street: list[Callable[[], LabelledView]] = [moment.view for moment in pack.train[STREET]]
+            self._real = {name: [one.view() for one in all_] for name, all_ in pack.train.items() if name != STREET}
+            self._held_out = [moment.view() for moments in pack.held_back.values() for moment in moments]
+            return
+        samples = SampleFolder(self.config.street)
+        validation = samples.validation
+        self._street = [partial(read_street, path) for path in samples.train]
         self._held_out = [read_street(path) for path in validation[:: max(1, len(validation) // VALIDATED)]]
         real = RealViews(self.config.data, self.config.cache) if self.config.data else None
         self._real = {} if real is None else real.train
@@ -124,7 +137,7 @@ class MonoTask:
             weights = np.array([SHARES.get(source, 1.0) for source in sources])
             views = self._real[sources[rng.choice(len(sources), p=weights / weights.sum())]]
             return views[rng.integers(len(views))]
-        return read_street(self._samples.train[rng.integers(len(self._samples.train))])
+        return self._street[rng.integers(len(self._street))]()
 
 
 def read_street(path: Path) -> LabelledView:

@@ -84,7 +84,12 @@ def truth_m(frame: Frame) -> FloatMap:
 
 
 def label(frame: Frame, source: str) -> StereoPair:
-    """Return a frame's pair, labelled by its truth, as the images have it.
+    """Return a frame's pair, labelled by its truth, as the images have it."""
+    return label_with_error(frame, source)[0]
+
+
+def label_with_error(frame: Frame, source: str) -> tuple[StereoPair, RectificationError]:
+    """Return a frame's pair, labelled by its truth as the images have it, and the error between both.
 
     Truth is what the calibration promises, and the images are off by their rectification error. A network that learned
     the difference would correct for one rig, unseen. So the error is fitted to a match of this pair and taken off.
@@ -106,7 +111,7 @@ def label(frame: Frame, source: str) -> StereoPair:
     sky &= ~known
     weight = np.where(known | sky, 1.0, np.where(calm & ~open_, MATCHED, 0.0)).astype(np.float32)
     value_px = np.where(known, value_px, np.where(sky | (weight == 0), np.float32(0), smooth_px))
-    return StereoPair(pair.left, pair.right, value_px.astype(np.float32), sky, weight, source)
+    return StereoPair(pair.left, pair.right, value_px.astype(np.float32), sky, weight, source), error
 
 
 def as_matched(true_px: FloatMap, error: RectificationError, camera: Camera) -> FloatMap:

@@ -9,6 +9,7 @@ truth what priors/held_back.py says.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,9 @@ from priors.adapt.training_frames import pick_evenly
 from priors.adapt.training_step import Batch
 from priors.adapt.views import to_tensor
 from priors.learn import pair_file, stereo_augment, warp
+from priors.learn.crop_pack import CropPack
 from priors.learn.eye_views import RIGHT
+from priors.learn.moment import Moment
 from priors.learn.pseudo_labels import label_drives
 from priors.learn.real_truth import DRIVE, KITTI2015, label_frames, label_held_back
 from priors.learn.sample_folder import SampleFolder
@@ -111,7 +114,20 @@ def split_frames(paths: Sequence[Path]) -> tuple[list[Path], list[Path]]:
 def mixture(folders: Folders, size: tuple[int, int] = (256, 512)) -> Draw:
     """Return what draws a training pair, augmented and cropped to size; it follows from the generator's state alone."""
     train, _ = find_sources(folders)
-    present = train.drawn()
+    return _mixture({name: partial(_draw_pair, train, name, size) for name in train.drawn()}, size)
+
+
+def packed_mixture(pack: CropPack, size: tuple[int, int] = (256, 512)) -> Draw:
+    """Return the same of a pack of crops; nothing in it is warped."""
+
+    def drawn(moments: list[Moment]) -> Draw:
+        return lambda rng: moments[int(rng.integers(len(moments)))].pair()
+
+    pairs = {name: [one for one in moments if one.right is not None] for name, moments in pack.train.items()}
+    return _mixture({name: drawn(moments) for name, moments in pairs.items() if moments}, size)
+
+
+def _mixture(present: dict[str, Draw], size: tuple[int, int]) -> Draw:
     wanted = SHARES_WITH_TRUTH if KITTI2015 in present or DRIVE in present else SHARES
     names = [name for name in wanted if name in present]
     shares = np.array([wanted[name] for name in names])
@@ -120,7 +136,7 @@ def mixture(folders: Folders, size: tuple[int, int] = (256, 512)) -> Draw:
         source = names[rng.choice(len(names), p=shares / shares.sum())]
         for _ in range(ATTEMPTS):
             ranges = RENDERED if source == "street" else REAL
-            pair = stereo_augment.augment(_draw_pair(train, source, rng, size), rng, size, ranges)
+            pair = stereo_augment.augment(present[source](rng), rng, size, ranges)
             if pair.known.mean() >= LEAST_KNOWN:
                 break
         return pair
@@ -142,12 +158,17 @@ def validation(folders: Folders, count: int = 24, warped: int = 2) -> list[Stere
     _, held = find_sources(folders)
     pairs = [pair_file.read(path) for path in pick_evenly(held.street, count)]
     pairs += [pair_file.read(path) for path in held.odometry if not path.stem.endswith(RIGHT)]
-    pairs += [_even(pair_file.read(path)) for path in held.kitti2015]
+    pairs += [even(pair_file.read(path)) for path in held.kitti2015]
     slow = pick_evenly([path for path in held.kitti if path.stem.startswith(SLOW_NAME)], warped)
     for number, path in enumerate(slow):
         filler = pair_file.read_left(slow[number - 1])[::-1]
-        pairs.append(_even(warp.warp(pair_file.read_disparity_image(path), np.ascontiguousarray(filler))))
+        pairs.append(even(warp.warp(pair_file.read_disparity_image(path), np.ascontiguousarray(filler))))
     return pairs
+
+
+def packed_validation(pack: CropPack) -> list[StereoPair]:
+    """Return the pairs of a pack that are held back."""
+    return [even(one.pair()) for moments in pack.held_back.values() for one in moments if one.right is not None]
 
 
 def collate(pairs: Sequence[StereoPair]) -> Batch:
@@ -167,13 +188,13 @@ def collate(pairs: Sequence[StereoPair]) -> Batch:
     }
 
 
-def _even(pair: StereoPair) -> StereoPair:
+def even(pair: StereoPair) -> StereoPair:
     """Cut off what is beyond a multiple of MULTIPLE."""
     height, width = pair.sky.shape
     return crop(pair, 0, 0, (height - height % MULTIPLE, width - width % MULTIPLE))
 
 
-def _draw_pair(sources: Sources, source: str, rng: np.random.Generator, size: tuple[int, int]) -> StereoPair:
+def _draw_pair(sources: Sources, source: str, size: tuple[int, int], rng: np.random.Generator) -> StereoPair:
     if source != "warped":
         return pair_file.read(_draw_path(sources.drawn()[source], rng))
     groups = [group for group in (sources.kitti, sources.camvid) if group]

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
 
-import cv2
 import numpy as np
 from torch import Tensor
 
 from priors.codecs import as_grey
 from priors.methods._network import Network
+from priors.methods._stereo_size import bring_image, bring_map, bring_mask, chance_in_pixels, count_halvings, seen_size
 from priors.nets import runtime, weights
 from priors.nets.confidence import ConfidenceCalibration
 from priors.nets.export import Graph, Graphs
@@ -22,8 +22,6 @@ Run = Callable[[Tensor, Tensor, int], tuple[FloatMap, FloatMap, FloatMap]]
 
 RANGE_STEP_PX = 32
 """Networks search a multiple of this many disparities."""
-MOST_PIXELS, MOST_DISPARITY_PX = 1_500_000, 320
-"""Larger pairs are halved first, as often as needed: KITTI has 0.47 million pixels, Argoverse's pair 5 million."""
 HEADROOM = "headroom"
 """Entry of a header: how far beyond the scene's largest disparity the network searches; without it, no farther."""
 LEAST_PX = 1e-3
@@ -49,7 +47,7 @@ class NetworkMatcher:
     """Chooses among the surfaces around a pixel where the network is unsure."""
 
     def __call__(
-        self, left: Image, right: Image, max_disparity_px: int, sky: Mask | None = None
+        self, left: Image, right: Image, max_disparity_px: int, sky: Mask | None = None, factor: float = 1.0
     ) -> tuple[FloatMap, FloatMap]:
         """Return the left view's disparity, px, 0 = none, and the probability that it is within 1 px (height, width).
 
@@ -60,6 +58,7 @@ class NetworkMatcher:
             right: the same.
             max_disparity_px: how far to search.
             sky: (height, width), True where the network has the last word; None: nowhere.
+            factor: how many times larger the network sees the pair.
         """
         shape = left.shape[:2]
         disparity_px, confidence = np.zeros((2, *shape), np.float32)
@@ -68,19 +67,19 @@ class NetworkMatcher:
         if min(left.shape[:2]) == 0:
             return disparity_px, confidence
         halvings = count_halvings(left.shape[:2], max_disparity_px)
-        small_left, small_right = shrink(left, halvings), shrink(right, halvings)
-        scale = left.shape[1] / small_left.shape[1]
+        size = seen_size(left.shape[:2], 0.5**halvings if halvings else factor, max_disparity_px)
+        seen_left, seen_right = bring_image(left, size), bring_image(right, size)
+        scale = left.shape[1] / size[1]
         largest_px = RANGE_STEP_PX * -(-(int(max_disparity_px / scale) + 1) // RANGE_STEP_PX)
-        small_px, sigma_px, doubt = self.run(self.take(small_left), self.take(small_right), largest_px)
-        trust = self.calibration(small_px, sigma_px, doubt)
+        seen_px, sigma_px, doubt = self.run(self.take(seen_left), self.take(seen_right), largest_px)
+        trust = self.calibration(seen_px, sigma_px, doubt)
         if self.choice is not None:
-            apart = None if sky is None else _as_small(sky[part], trust)
-            small_px = self.choice((small_px, sigma_px, doubt, trust), apart)
-        part_px = np.maximum(small_px, np.float32(LEAST_PX)) * np.float32(scale)
-        if halvings:
-            size = (left.shape[1], left.shape[0])
-            part_px, trust = (np.asarray(cv2.resize(map_, size), np.float32) for map_ in (part_px, trust))
-        disparity_px[part], confidence[part] = part_px, trust
+            apart = None if sky is None else bring_mask(sky[part], size)
+            seen_px = self.choice((seen_px, sigma_px, doubt, trust), apart)
+        if not halvings:
+            trust = chance_in_pixels(trust, 1 / scale)
+        part_px = np.maximum(seen_px, np.float32(LEAST_PX)) * np.float32(scale)
+        disparity_px[part], confidence[part] = (bring_map(map_, left.shape[:2]) for map_ in (part_px, trust))
         return disparity_px, confidence
 
 
@@ -113,12 +112,6 @@ def _open(network: Network, path: Path, _digest: str) -> NetworkMatcher:
     return NetworkMatcher(run, calibration, headroom, choice=choice)
 
 
-def _as_small(mask: Mask, map_: FloatMap) -> Mask:
-    """Return a mask in the size of a map, which may be halved."""
-    size = (map_.shape[1], map_.shape[0])
-    return np.asarray(cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST), np.bool_)
-
-
 def busy(left: Image, right: Image) -> tuple[slice, slice]:
     """Return the rows and columns between the empty borders that rectification leaves: (rows, columns).
 
@@ -139,19 +132,3 @@ def _span(left: Image, right: Image) -> slice:
     first = next(filter(varies, range(lines)), lines)
     last = next(filter(varies, range(lines - 1, first - 1, -1)), first - 1)
     return slice(first, last + 1) if first < lines else slice(0, 0)
-
-
-def count_halvings(size: tuple[int, int], max_disparity_px: int) -> int:
-    """Tell how often a pair (height, width) is halved before the network sees it."""
-    halvings = 0
-    while size[0] * size[1] > MOST_PIXELS * 4**halvings or max_disparity_px > MOST_DISPARITY_PX * 2**halvings:
-        halvings += 1
-    return halvings
-
-
-def shrink(image: Image, halvings: int) -> Image:
-    """Return the image halved so often, each pixel the mean of those it stands for; at least one pixel is left."""
-    if not halvings:
-        return image
-    height, width = (max(1, round(side / 2**halvings)) for side in image.shape[:2])
-    return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), dtype=np.uint8)

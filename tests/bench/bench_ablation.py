@@ -21,6 +21,7 @@ from nerf import fields
 from nerf.config import FitConfig, ModelConfig
 from nerf.evidence.check import check
 from nerf.evidence.lidar import sweeps_of
+from nerf.gaussians.config import GaussianConfig
 from nerf.losses import LossConfig
 from nerf.prepare import SceneConfig, open_scene
 from nerf.sample import SamplerConfig
@@ -39,13 +40,16 @@ class Row:
     name: str
     sampler: dict[str, Any] = field(default_factory=dict)
     losses: dict[str, Any] = field(default_factory=dict)
+    gaussians: dict[str, Any] = field(default_factory=dict)
+    fit: dict[str, Any] = field(default_factory=dict)
     align: str = "auto"
     scene: Callable[[Scene], Scene] = lambda scene: scene
 
     def config(self, family: str, steps: int) -> FitConfig:
         """Return the fit's settings."""
-        model = ModelConfig(family, sampler=SamplerConfig(**self.sampler))
-        return FitConfig(model, LossConfig(**self.losses), steps=steps, seconds=None, align=self.align)  # type: ignore[arg-type]
+        model = ModelConfig(family, sampler=SamplerConfig(**self.sampler), gaussians=GaussianConfig(**self.gaussians))
+        fit = FitConfig(model, LossConfig(**self.losses), steps=steps, seconds=None)
+        return replace(fit, align=self.align, **self.fit)
 
 
 SKIPS_OFF = {"terminate": 0.0, "roulette_samples": 1.0, "roulette_proposals": 1.0, "render_proposed": None}
@@ -60,6 +64,8 @@ ROWS = [
     Row("--sky-opacity 0 --no-carve-sky", sampler={"carve_sky": False}, losses={"sky_opacity": 0.0}),
     Row("skips off", sampler=SKIPS_OFF),
     Row("--count 32", sampler={"count": 32}),
+    Row("--no-appearance", gaussians={"appearance": False}),
+    *(Row(f"--rays {rays}", fit={"rays": rays}) for rays in (1024, 2048, 4096)),
 ]
 
 
@@ -70,7 +76,7 @@ def main() -> None:
     parser.add_argument("--field", nargs="*", default=["mip360"])
     parser.add_argument("--steps", type=int, default=400)
     parser.add_argument("--poses-from", type=Path)
-    parser.add_argument("--only", nargs="*", help="rows, by their names")
+    parser.add_argument("--only", nargs="*", help="rows, by their names without the first dashes")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder, threads.limited(1), threads.quiet():
         drive = open_drive(args.data)
@@ -78,7 +84,7 @@ def main() -> None:
         print("| field | | PSNR dB | AbsRel | ms |\n|---|---|---:|---:|---:|")
         for family in args.field:
             for row in [*ROWS, *of_poses(args.data, drive, args.poses_from)]:
-                if (not args.only or row.name in args.only) and tells(row, family):
+                if (not args.only or row.name.lstrip("-") in args.only) and tells(row, family):
                     run(drive, scene, row, row.config(family, args.steps))
 
 

@@ -33,6 +33,8 @@ from nerf.kernels.cpu.splat_blend import Picture, Rules
 from nerf.kernels.cpu.splat_pixels import Packed
 from nerf.kernels.cpu.splat_project import CHUNK, RECORD, REGION, Lists, Scene, View
 from nerf.kernels.cpu.splat_region import TILES, Regions, Scratch
+from nerf.kernels.cpu.splat_shown import show as show
+from nerf.kernels.cpu.splat_shown import unshow as unshow
 from nerf.kernels.cpu.splat_train import adam as adam
 from nerf.kernels.cpu.splat_train import colour_loss as colour_loss
 from nerf.kernels.cpu.splat_unblend import Wanted

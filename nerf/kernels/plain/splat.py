@@ -23,6 +23,8 @@ from nerf.gaussians.types import (
 from nerf.twin import adam as twin_adam
 from nerf.twin import colour_loss as twin_loss
 from nerf.twin import splat as twin
+from nerf.twin.shown import show as show
+from nerf.twin.shown import unshow as unshow
 from nerf.twin.splat import Projected
 
 BLOCK = 16

@@ -32,6 +32,8 @@ from nerf.kernels.triton.splat_project import RECORD_NUMBERS, TILE_PX
 from nerf.kernels.triton.splat_train import adam as adam
 from nerf.kernels.triton.splat_train import colour_loss as colour_loss
 from nerf.kernels.triton.splat_unblend import SUM_NUMBERS
+from nerf.twin.shown import show as show
+from nerf.twin.shown import unshow as unshow
 
 _BLOCK = 128
 """Gaussians that a program projects."""

@@ -24,7 +24,7 @@ def pin() -> None:
 
 
 def flags() -> argparse.Namespace:
-    from tests.bench.gpu.parts import PARTS
+    from tests.bench.gpu.parts import NETWORKS, PARTS
 
     parser = argparse.ArgumentParser(prog="gpu", description=__doc__.splitlines()[0])
     parser.add_argument("--pack", type=Path, default=Path("gpu-pack"), help="folder that travels to the other machine")
@@ -36,7 +36,11 @@ def flags() -> argparse.Namespace:
     whole = sum(part.seconds for part in PARTS)
     parser.add_argument("--budget", type=float, help=f"seconds of all parts together; {whole} unless parts are chosen")
     parser.add_argument("--parts", nargs="+", choices=[part.name for part in PARTS], help="only these, in this order")
-    parser.add_argument("--train", help="the command of the part `train`, instead of the one in training.py")
+    parser.add_argument("--crops", type=Path, default=Path("gpu-crops"), help="what `train` learns from")
+    parser.add_argument("--runs", type=Path, default=Path("gpu-runs"), help="where trainings go on from")
+    parser.add_argument("--networks", nargs="+", choices=NETWORKS, default=[*NETWORKS], help="what `train` trains")
+    parser.add_argument("--train-s", type=float, help="seconds each, all calls together; default: what the budget has")
+    parser.add_argument("--train", help="a command that the part `train` runs instead")
     parser.add_argument("--part", help=argparse.SUPPRESS)  # in the process of one part
     parser.add_argument("--deadline", type=float, help=argparse.SUPPRESS)
     parser.add_argument("--scale", type=float, default=1.0, help=argparse.SUPPRESS)

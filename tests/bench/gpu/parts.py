@@ -28,9 +28,11 @@ PARTS = (
     Part("bench", "bench", 70, FIELD, "Samples a second"),
     Part("splat", "splat", 130, FIELD, "Gaussians"),
     Part("fit", "fit", 230, FIELD, "The 397x120 drive"),
-    Part("train", "training", 50, (), "Training"),
+    Part("train", "training", 50, FIELD, "Training"),
 )
 """In this order; 720 s together."""
+NETWORKS = ("cfnet", "mffnet", "bts")
+"""What the part `train` can train, see training.py."""
 
 
 def find(name: str) -> Part:

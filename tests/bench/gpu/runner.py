@@ -110,7 +110,9 @@ def _run_part(part: Part, options: Namespace, limit: float, entry: dict[str, Any
     command = [sys.executable, str(Path(__file__).with_name("__main__.py")), "--part", part.name]
     command += ["--pack", str(options.pack), "--out", str(options.out), "--device", options.device]
     command += ["--deadline", f"{time.time() + limit:.1f}", "--scale", f"{options.scale:.4f}"]
+    command += ["--crops", str(options.crops), "--runs", str(options.runs), "--networks", *options.networks]
     command += ["--train", options.train] if options.train else []
+    command += ["--train-s", str(options.train_s)] if options.train_s else []
     environment = os.environ | {"PYTHONUNBUFFERED": "1"}
     environment["PYTHONPATH"] = os.pathsep.join(filter(None, [str(_root()), os.environ.get("PYTHONPATH")]))
     book.log(f"$ {shlex.join(command)}\n")
