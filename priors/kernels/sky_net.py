@@ -56,16 +56,16 @@ def inverted(values: Floats, name: str, layers: Layers, stride: int = 1) -> Floa
 
 def mix(values: Floats, layer: Layer, clipped: bool = False) -> Floats:
     """Mix channels pixel by pixel: (inputs, height, width) to (outputs, height, width), cut to 0 .. 6 if asked."""
-    weights, bias = layer
-    count = values.shape[1] * values.shape[2]
-    flat, out = values.reshape(len(values), count), np.empty((bias.size, count), np.float32)
-    block = -(-threads.worth(0.05 * weights.size) // STRETCH) * STRETCH
-    threads.over(count, lambda first, last: _mix(flat, weights, bias, clipped, out, first, last), block)
+    table, count = np.vstack(layer), values.shape[1] * values.shape[2]
+    flat, out = values.reshape(len(values), count), np.empty((table.shape[1], count), np.float32)
+    block = -(-threads.worth(0.05 * table.size) // STRETCH) * STRETCH
+    threads.over(count, lambda first, last: _mix(flat, table, clipped, out, first, last), block)
     return out.reshape(-1, *values.shape[1:])
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _mix(values: Floats, weights: Floats, bias: Floats, clipped: bool, out: Floats, first: int, last: int) -> None:
+def _mix(values: Floats, table: Floats, clipped: bool, out: Floats, first: int, last: int) -> None:
+    weights, bias = table[:-1], table[-1]
     inputs, outputs = weights.shape
     threes = inputs // 3 * 3
     spare = np.empty(STRETCH, np.float32)
@@ -110,13 +110,14 @@ def look(values: Floats, layer: Layer, stride: int) -> Floats:
     channels, height, width = values.shape
     out = np.empty((channels, -(-height // stride), -(-width // stride)), np.float32)
     block = threads.worth(0.1 * out[0].size * weights[0].size)
-    threads.over(channels, lambda first, last: _look(values, weights, bias, stride, out, first, last), block)
+    threads.over(channels, lambda first, last: _look(values, weights, bias, out, first, last), block)
     return out
 
 
 @compiled(fastmath=FAST, error_model="numpy")
-def _look(values: Floats, weights: Floats, bias: Floats, stride: int, out: Floats, first: int, last: int) -> None:
+def _look(values: Floats, weights: Floats, bias: Floats, out: Floats, first: int, last: int) -> None:
     _, height, width = values.shape
+    stride = 1 if out.shape == values.shape else 2
     side = weights.shape[1]
     margin = side // 2
     rows, columns = out.shape[1], out.shape[2]
