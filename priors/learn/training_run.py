@@ -3,6 +3,8 @@
 import json
 import math
 import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Protocol
@@ -118,14 +120,24 @@ class TrainingRun:
         self.task.net, trained = average, self.task.net
         try:
             with torch.no_grad(), torch.autocast(self.device.type, torch.bfloat16):
-                for number in range(NORM_BATCHES if norms else 0):
-                    batch = self.task.batch(self.step, np.random.default_rng([self.config.seed, number, NORM_BATCHES]))
+                for batch in self._norm_batches() if norms else ():
                     self.task.loss(to_device(batch, self.device))
         finally:
             self.task.net = trained
             average.eval()
             for norm, momentum in zip(norms, momenta, strict=True):
                 norm.momentum = momentum
+
+    def _norm_batches(self) -> Iterator[Batch]:
+        """Yield the batches to measure norms on; as many are made at a time as there are workers."""
+
+        def make(number: int) -> Batch:
+            return self.task.batch(self.step, np.random.default_rng([self.config.seed, number, NORM_BATCHES]))
+
+        numbers, workers = range(NORM_BATCHES), self.config.workers
+        with ThreadPoolExecutor(workers) as pool:
+            for first in numbers[::workers]:
+                yield from pool.map(make, numbers[first : first + workers])
 
     def validate(self) -> None:
         """Measure the average, draw what it sees, keep it if it is the best so far.
