@@ -236,11 +236,13 @@ def test_trimming_drops_the_largest(share: float, count: int, seed: int) -> None
         assert loss[dropped].min() >= loss[kept > 0].max()
 
 
-def test_opacity_counts_as_much_as_the_prior() -> None:
+@pytest.mark.parametrize("power", [0.0, 1.0, 2.0])
+def test_opacity_counts_by_the_priors_confidence(power: float) -> None:
     samples, sigma, rgb, sky, *_, rays = make([5, 5, 5])
     drawn = cpu.forward(samples, sigma, rgb, sky)
     given = Rays(rays.origins_m, rays.directions, rays.rgb, torch.full((3,), 7.0), torch.tensor([1.0, 0.1, 0.0]))
-    found = losses(LossConfig(loss="none", opacity=1.0), samples, given, sigma, drawn)
-    assert found.gradients.transmittance.tolist() == pytest.approx([1 / 2, 0.1 / 2, 0])
-    blind = losses(LossConfig(loss="none", opacity=1.0, by_confidence=False), samples, given, sigma, drawn)
+    rules = LossConfig(loss="none", opacity=1.0, opacity_power=power)
+    found = losses(rules, samples, given, sigma, drawn)
+    assert found.gradients.transmittance.tolist() == pytest.approx([1 / 2, 0.1**power / 2, 0])
+    blind = losses(replace(rules, by_confidence=False), samples, given, sigma, drawn)
     assert blind.gradients.transmittance.tolist() == pytest.approx([1 / 3] * 3)
