@@ -1,19 +1,20 @@
-"""Sky mask from the image alone: colour, position, texture, and what the image's own sky looks like.
+"""Sky mask from the image alone: a small network, the colours around, and a filter along the image's own edges.
 
-Three steps, the first two on blocks of pixels (at most 20,000):
-1. a small learned rule (one hidden layer) on colour relative to the image's own range, texture at four scales, height
-   in the image, and the smoothest path to the top edge;
-2. a second rule that also compares each block with what step 1 took for sky in this very image: colour histograms and
-   local means, what lies above and below in the column, and the smoothest path to a sure block;
-3. at full resolution a guided filter (He, Sun, "Fast Guided Filter", 2015) fits the blocks' answer to colour edges, so
-   that poles and branches stay out of the sky.
+1. The image is averaged to at most 60,000 pixels and made as bright as day.
+2. The network (kernels/sky_net.py) says at half that size how sure it is of sky. It knows walls, trees and clouds by
+   what they look like, not by their colour alone.
+3. Thin things before the sky (poles, wires, branches) are too small for it: what has not the colour of the sky
+   around it, but that of what is no sky, is doubted.
+4. At full resolution a guided filter (He, Sun, "Fast Guided Filter", 2015) fits the answer to colour edges, so that
+   the mask ends where things do.
 
-The coefficients lie in weights/sky.npz; `python -m priors.learn.fit_sky` fitted them, weights/sky.md says on what.
+The weights lie in weights/sky.npz; `python -m priors.learn.fit_sky` trained them, weights/sky.md says on what.
 """
 
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
+from typing import TypeAlias
 
 import cv2
 import numpy as np
@@ -22,20 +23,27 @@ import numpy.typing as npt
 from priors.codecs import as_rgb
 from priors.types import Depth, FloatMap, Image, Mask
 
-VERSION = 1
+VERSION = 2
 """Goes into the cache's key of maps that were cropped by the mask: raise it when the mask changes."""
-MOST_BLOCKS = 20_000
-"""Most blocks an image is averaged to."""
+MOST_PIXELS = 60_000
+"""Most pixels that the network sees."""
+DARKEST = 0.2
+"""A darker bright end is taken for this: a black image stays black."""
+BIAS = np.float32(1)
+"""Added to the network's logits: on recordings left out it misses more sky than it invents."""
+AROUND = 15
+"""Side of the window, blocks, whose colours a block is compared with."""
+COLOUR_DEVIATION, USUAL_DISTANCE = 0.1, 0.2
+"""Deviation of a surface's colour, and what distance to another one is taken for usual where there is none around."""
+MOST_DOUBT, LEAST_SHARE = 6, 0.05
+"""Largest doubt, a logit; share of a window below which the colour of its sky, or of its rest, counts less."""
 WEIGHTS = Path(__file__).parent / "weights" / "sky.npz"
-NOISE = np.float32(4e-3)
-"""One grey level: texture below it is sensor noise."""
 SATURATED = np.float32(12)
-"""Cost, and largest logit, beyond which more makes no difference."""
-SLOPE, SLACK = 12.0, 0.03
-"""Cost of a path through the image per unit of colour change, and the change from block to block that is free."""
+"""Largest logit beyond which more makes no difference."""
 
 Floats = npt.NDArray[np.float32]
-Layers = tuple[tuple[Floats, Floats], ...]
+Layers: TypeAlias = "dict[str, tuple[Floats, Floats]]"
+"""Weights (inputs, outputs), or (channels, kernel, kernel) of a depthwise layer, and bias, by the layer's name."""
 
 
 def sky_mask(image: Image) -> Mask:
@@ -50,19 +58,19 @@ def sky_mask(image: Image) -> Mask:
     return find_sky(image, load_weights())
 
 
-def find_sky(image: Image, rules: "tuple[Layers, Layers]") -> Mask:
-    """Tell by given rules which pixels (height, width) of an image are sky."""
+def find_sky(image: Image, layers: Layers) -> Mask:
+    """Tell by given weights which pixels (height, width) of an image are sky."""
     from priors.kernels import sky as kernels
+    from priors.kernels.sky_net import forward
 
     if image.size == 0:
         return np.zeros(image.shape[:2], dtype=np.bool_)
     image = np.ascontiguousarray(as_rgb(image))
-    factor = block_side(image.shape[0], image.shape[1])
-    colour, texture = kernels.shrink(image, factor)
-    first, normalised = describe(colour, texture)
-    logit = apply_layers(rules[0], first)
-    logit = apply_layers(rules[1], compare(first, normalised, logit))
-    return kernels.apply_linear(image, guided_model(colour, sigmoid(logit)), factor)
+    side = pixel_side(image.shape[0], image.shape[1])
+    logit = forward(brighten(kernels.shrink(image, side)), layers) + BIAS
+    colour = kernels.shrink(image, 2 * side)
+    target = sigmoid(logit - doubt_of_colour(brighten(colour), sigmoid(logit)))
+    return kernels.apply_linear(image, guided_model(colour, target), 2 * side)
 
 
 def doubt(depth: Depth, sky: Mask) -> Depth:
@@ -83,34 +91,40 @@ def rows_below(sky: Mask, margin: int = 16) -> slice:
     return slice(max(0, int(ground[0]) - margin) if ground.size else 0, sky.shape[0])
 
 
-def block_side(height: int, width: int) -> int:
-    """Return the side of the blocks an image is averaged to, pixels."""
-    return max(1, int(np.ceil(np.sqrt(height * width / MOST_BLOCKS))))
+def pixel_side(height: int, width: int) -> int:
+    """Return the side of the image's squares that are one pixel to the network."""
+    return max(1, int(np.ceil(np.sqrt(height * width / MOST_PIXELS))))
+
+
+def shrink_to_see(image: Image) -> Floats:
+    """Average an image (height, width[, 3]) to what the network sees: (rows, columns, 3) in [0, 1] or above."""
+    from priors.kernels.sky import shrink
+
+    image = np.ascontiguousarray(as_rgb(image))
+    return brighten(shrink(image, pixel_side(image.shape[0], image.shape[1])))
+
+
+def brighten(colour: Floats) -> Floats:
+    """Scale colours (height, width, 3) in [0, 1] so that the bright end is about 1: dusk looks like day."""
+    green = colour[::2, ::2, 1]
+    return colour / np.float32(np.clip(np.quantile(green, 0.98), DARKEST, 1))
 
 
 @cache
-def load_weights() -> tuple[Layers, Layers]:
-    """Load the layers of the two rules."""
-    with np.load(WEIGHTS) as file:
-        first, second = (
-            tuple((file[f"rule{rule}_w{layer}"], file[f"rule{rule}_b{layer}"]) for layer in (0, 1)) for rule in (1, 2)
-        )
-    return first, second
+def load_weights() -> Layers:
+    """Load the network's layers."""
+    return read_weights(WEIGHTS)
 
 
-def apply_layers(layers: Layers, values: Floats) -> FloatMap:
-    """Run dense layers (ReLU between them) on n values per block, (n, ...): logits (...)."""
-    from priors.kernels.sky import dense
+def read_weights(path: Path) -> Layers:
+    """Read layers: arrays name.w and name.b, float16 in the file."""
+    with np.load(path) as file:
+        return pair_layers({name: np.ascontiguousarray(file[name], np.float32) for name in file.files})
 
-    shape = values.shape[1:]
-    values = np.ascontiguousarray(values.reshape(len(values), -1), np.float32)
-    for number, (weights, bias) in enumerate(layers):
-        if number:
-            np.maximum(values, 0, out=values)
-        answer = np.empty((bias.size, values.shape[1]), np.float32)
-        dense(values, weights.reshape(len(values), -1), bias.reshape(-1), answer)
-        values = answer
-    return values.reshape(shape)
+
+def pair_layers(arrays: dict[str, Floats]) -> Layers:
+    """Pair each name.w with its name.b."""
+    return {name[:-2]: (arrays[name], arrays[f"{name[:-2]}.b"]) for name in arrays if name.endswith(".w")}
 
 
 def sigmoid(logit: FloatMap) -> FloatMap:
@@ -118,130 +132,27 @@ def sigmoid(logit: FloatMap) -> FloatMap:
     return np.float32(1) / (np.float32(1) + np.exp(-np.clip(logit, -SATURATED, SATURATED)))
 
 
-def describe(colour: Floats, texture: FloatMap) -> tuple[Floats, Floats]:
-    """Describe each block by its colour, texture and place.
+def doubt_of_colour(colour: Floats, sky: FloatMap) -> FloatMap:
+    """Return how much less each block looks like the sky around it than like the rest around it: a logit, 0 or more.
+
+    Log likelihoods of two Gaussians around the local means, cut to 0 .. MOST_DOUBT: looks alone make nothing sky, since
+    white walls look like it.
 
     Args:
-        colour: (height, width, 3) in [0, 1].
-        texture: (height, width) standard deviation of grey inside the block.
-
-    Returns:
-        (19, height, width) values, and the colours (height, width, 3) scaled so that the image's bright end is 1:
-        exposure drops out.
+        colour: (height, width, 3), brightened.
+        sky: (height, width) probability of sky.
     """
-    grey = np.float32(0.299) * colour[..., 0] + np.float32(0.587) * colour[..., 1] + np.float32(0.114) * colour[..., 2]
-    gain = 1 / max(float(np.quantile(grey[::2, ::2], 0.98)), 0.05)
-    colour, grey, texture = colour * np.float32(gain), grey * np.float32(gain), texture * np.float32(gain)
-    height, width = grey.shape
-    ground = np.quantile(grey[int(0.55 * height) :: 2, ::2], [0.5, 0.95]).astype(np.float32)
-    top = np.quantile(grey[: max(2, height // 6), ::2], 0.9).astype(np.float32)
-    code = np.minimum(grey * 240, 255).astype(np.uint8)
-    rank = np.cumsum(np.bincount(code.ravel(), minlength=256), dtype=np.float32)[code] / np.float32(code.size)
-    red, green, blue = colour[..., 0], colour[..., 1], colour[..., 2]
-    bright, dark = np.maximum(np.maximum(red, green), blue), np.minimum(np.minimum(red, green), blue)
-    edge = gradient(grey)
-    deviation = np.sqrt(np.maximum(blur(grey * grey, 9) - blur(grey, 9) ** 2, 0))
-    y = np.repeat(((np.arange(height, dtype=np.float32) + 0.5) / height)[:, None], width, axis=1)
-    return np.stack(
-        [
-            grey,
-            rank,
-            grey - ground[0],
-            grey - ground[1],
-            (blue - red) / (bright + 0.1),
-            (2 * green - red - blue) / (bright + 0.1),
-            (bright - dark) / (bright + 0.1),
-            log(edge),
-            log(texture),
-            log(blur(edge, 5)),
-            log(blur(edge, 15)),
-            log(deviation),
-            y,
-            y * y,
-            np.log(path_from_top(colour) + 0.02),
-            grey - np.minimum.accumulate(blur(grey, 3), axis=0),
-            log(np.maximum.accumulate(blur(edge, 3), axis=0)),
-            grey - mean_below(grey),
-            grey - top,
-        ]
-    ).astype(np.float32, copy=False), colour
+    to_sky, to_rest = (distance_to(colour, weight * weight) for weight in (sky, 1 - sky))
+    return np.clip((to_sky - to_rest) / np.float32(2 * COLOUR_DEVIATION**2), 0, MOST_DOUBT)
 
 
-def compare(first: Floats, colour: Floats, logit: FloatMap) -> Floats:
-    """Compare each block with what looks like sky, and like no sky, in this image.
-
-    Args:
-        first: (19, height, width) what `describe` gave.
-        colour: (height, width, 3) its normalised colours.
-        logit: (height, width) how sure the first rule is of sky.
-
-    Returns:
-        (33, height, width): 14 comparisons, then `first`.
-    """
-    from priors.kernels.sky import grow_all
-
-    sky = sigmoid(logit)
-    weights = sky * sky, (1 - sky) ** 2
-    likelier = log_ratio(first[0], first[4], *weights)
-    # The surest sky of the image starts free of charge, even where nothing is quite sure (dusk, grey cameras).
-    surest = min(max(float(np.quantile(logit, 0.995)), 0.0), 4.0)
-    starts = np.stack([np.clip(surest - logit, 0, SATURATED), np.clip(logit + 4, 0, SATURATED)]).astype(
-        np.float32, copy=False
-    )
-    from_sky, from_rest = grow_all(starts, colour, SLOPE, SLACK)
-    count = np.arange(1, sky.shape[0] + 1, dtype=np.float32)[:, None]
-    evidence = [
-        np.clip(logit, -SATURATED, SATURATED),
-        sky,
-        likelier,
-        blur(likelier, 5),
-        unlike(colour, weights[0]),
-        unlike(colour, weights[1]),
-        np.cumsum(sky, axis=0) / count,
-        mean_below(sky),
-        blur(sky, 15),
-        blur(sky, 7),
-        np.repeat(sky.mean(axis=1, keepdims=True), sky.shape[1], axis=1),
-        from_sky,
-        from_rest,
-        np.log(from_sky + 0.1),
-    ]
-    return np.stack([*evidence, *first]).astype(np.float32, copy=False)
-
-
-def path_from_top(colour: Floats) -> FloatMap:
-    """Return the cost of the smoothest path from the top edge to each block."""
-    from priors.kernels.sky import grow
-
-    start = np.full(colour.shape[:2], np.float32(1e6))
-    start[0] = 0
-    return grow(start, colour, 1.0, 0.0)
-
-
-def log_ratio(grey: FloatMap, chroma: FloatMap, sky: FloatMap, rest: FloatMap) -> FloatMap:
-    """Return log(p(colour | sky) / p(colour | rest)) from weighted, smoothed histograms of the image itself."""
-    shape = (32, 24)
-    cell = np.clip((grey * 26).astype(np.int32), 0, shape[0] - 1) * shape[1]
-    cell += np.clip(((chroma + 0.6) * 16).astype(np.int32), 0, shape[1] - 1)
-    logs = []
-    for weight in (sky, rest):
-        flat = np.bincount(cell.ravel(), weight.ravel(), minlength=shape[0] * shape[1]).astype(np.float32)
-        counts = np.asarray(cv2.GaussianBlur(flat.reshape(shape), (0, 0), 1))
-        logs.append(np.log(counts / (counts.sum() + 30) + 4e-4))
-    return (logs[0] - logs[1]).ravel()[cell]
-
-
-def unlike(colour: Floats, weight: FloatMap) -> FloatMap:
-    """Return the log distance of each block's colour to the weighted mean around it (or over the image)."""
-    side = 3 * ((colour.shape[1] // 8) | 1)
-    weighted = colour * weight[..., None]
-    share = blur(weight, side) + 1e-3
-    local = blur(weighted, side) / share[..., None]
-    overall = weighted.sum(axis=(0, 1)) / (weight.sum() + 1e-3 * weight.size)
-    trust = np.minimum(share / 0.02, 1)[..., None]
-    red, green, blue = np.moveaxis(np.abs(colour - overall - trust * (local - overall)), 2, 0)
-    distance = red + green + blue
-    return np.log(distance + 0.02)
+def distance_to(colour: Floats, weight: FloatMap) -> FloatMap:
+    """Return the squared distance of each block's colour to the weighted mean around it."""
+    share = blur(weight, AROUND)
+    mean = blur(colour * weight[..., None], AROUND) / (share[..., None] + np.float32(1e-6))
+    trust = np.minimum(share / np.float32(LEAST_SHARE), 1)
+    red, green, blue = np.moveaxis(colour - mean, 2, 0)
+    return trust * (red * red + green * green + blue * blue) + (1 - trust) * np.float32(USUAL_DISTANCE**2)
 
 
 def guided_model(colour: Floats, target: FloatMap, side: int = 5, smoothing: float = 1e-3) -> Floats:
@@ -254,24 +165,6 @@ def guided_model(colour: Floats, target: FloatMap, side: int = 5, smoothing: flo
     return blur(fit_linear(np.stack([blur(moment, side) for moment in moments]), smoothing), side)
 
 
-def gradient(grey: FloatMap) -> FloatMap:
-    """Return the gradient's size, grey per block."""
-    x = cv2.Sobel(grey, cv2.CV_32F, 1, 0, ksize=3, scale=0.125)
-    y = cv2.Sobel(grey, cv2.CV_32F, 0, 1, ksize=3, scale=0.125)
-    return np.sqrt(x * x + y * y)
-
-
 def blur(values: Floats, side: int) -> Floats:
     """Average over a window of side x side blocks."""
     return np.asarray(cv2.blur(values, (side, side)), dtype=np.float32)
-
-
-def mean_below(values: FloatMap) -> FloatMap:
-    """Average each column from the block itself down to the bottom."""
-    count = np.arange(values.shape[0], 0, -1, dtype=np.float32)[:, None]
-    return np.cumsum(values[::-1], axis=0)[::-1] / count
-
-
-def log(texture: FloatMap) -> FloatMap:
-    """Return the logarithm of a texture measure, flat below the noise."""
-    return np.log(texture + NOISE)

@@ -14,7 +14,7 @@ from priors.adapt.camera_response import CameraResponse, compress, falloff, scal
 from priors.adapt.distributions import Distribution, Effect, LogNormal, LogUniform, Normal, Uniform
 from priors.codecs import as_rgb
 from priors.learn import sky_augment
-from priors.learn.sky_labels import REST, SKY
+from priors.learn.sky_labels import REST, SKY, SkySample
 from priors.learn.stereo_augment import REAL, RENDERED, StereoAugmentation, photometric
 
 QUIET = Augmentation()
@@ -166,15 +166,16 @@ def test_ranges_check_themselves() -> None:
 
 
 @pytest.mark.parametrize("grey", [False, True])
-def test_sky_copies_keep_their_labels(grey: bool) -> None:
+def test_sky_copies_keep_their_labels(grey: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sky_augment, "BARE", 0.0)
     image = picture(4, (120, 200), grey)
     label = np.where(np.arange(120)[:, None] < 50, SKY, REST) * np.ones((120, 200), np.float32)
     rng = np.random.default_rng(0)
     for _ in range(20):
-        altered, labels = sky_augment.augment(image, label, rng)
-        assert altered.shape[:2] == labels.shape and altered.dtype == np.uint8
-        assert set(np.unique(labels)) <= {SKY, REST}
-        assert (np.diff(labels, axis=0) <= 0).all()  # sky above, whatever was cut or mirrored
+        altered, (share, known) = sky_augment.draw_view(SkySample("here", image, label), (64, 96), rng)
+        assert altered.shape == (64, 96, 3) and altered.dtype == np.uint8
+        assert share.shape == (32, 48) and (known > 0.99).all()
+        assert np.diff(share, axis=0).max() < 0.001  # sky above, whatever was cut or mirrored
 
 
 def test_another_sky_changes_the_sky_only() -> None:

@@ -306,7 +306,7 @@ def test_a_bright_wall_is_no_sky() -> None:
     matched_px = np.full((60, 100), 30, np.float32)
     matched_px[:, 50:] = 3
     matched_px[mask > 0] = 0
-    kept = pseudo_labels._reaching_far(mask, matched_px)
+    kept = pseudo_labels.reaching_far(mask, matched_px)
     assert kept[10, 70] == 1 and kept[10, 20] == 0
 
 

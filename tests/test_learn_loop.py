@@ -19,9 +19,9 @@ from priors.adapt.training_step import Batch
 from priors.errors import DataError
 from priors.learn.completion import CompletionConfig
 from priors.learn.config import TrainConfig
-from priors.learn.fit_sky import SkyFit
 from priors.learn.loop import train
 from priors.learn.mono import MonoConfig
+from priors.learn.sky_left_out import SkyLeftOut
 from priors.learn.teacher_labels import TeacherConfig
 from priors.types import Image
 
@@ -151,7 +151,7 @@ def test_a_step_that_is_not_finite_is_left_out(tmp_path: Path) -> None:
         lambda: MonoConfig(real_share=-1),
         lambda: MonoConfig(batch=0),
         lambda: TeacherConfig(Path("a"), Path("b"), Path("c"), Path("d"), every=0),
-        lambda: SkyFit(Path("a"), seed=-1),
+        lambda: SkyLeftOut(Path("runs"), Path("a"), taught_steps=0),
     ],
 )
 def test_settings_check_themselves(make: Callable[[], object]) -> None:

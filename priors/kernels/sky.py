@@ -1,4 +1,4 @@
-"""Sky mask: its loops. Block means of the image, growth along smooth paths, refinement at full resolution."""
+"""Sky mask: its loops. Block means of the image, dense layers, refinement at full resolution."""
 
 import numpy as np
 import numpy.typing as npt
@@ -12,87 +12,36 @@ STRETCH = 512
 """Values that a dense layer takes at a time: its line stays in the fastest cache."""
 
 
-def shrink(image: Image, factor: int) -> tuple[Floats, FloatMap]:
+def shrink(image: Image, factor: int) -> Floats:
     """Average blocks of factor x factor pixels of an RGB image; blocks at the right and bottom edge may be smaller.
 
     Returns:
-        colour (rows, columns, 3) in [0, 1] and grey's standard deviation in the block (rows, columns).
+        colour (rows, columns, 3) in [0, 1].
     """
     rows, columns = -(-image.shape[0] // factor), -(-image.shape[1] // factor)
-    colour, deviation = np.empty((rows, columns, 3), np.float32), np.empty((rows, columns), np.float32)
+    colour = np.empty((rows, columns, 3), np.float32)
     block = threads.worth(1.5 * factor * image.shape[1])
-    threads.over(rows, lambda first, last: _shrink(image, factor, colour, deviation, first, last), block)
-    return colour, deviation
+    threads.over(rows, lambda first, last: _shrink(image, factor, colour, first, last), block)
+    return colour
 
 
 @compiled(error_model="numpy")
-def _shrink(image: Image, factor: int, colour: Floats, deviation: FloatMap, first: int, last: int) -> None:
+def _shrink(image: Image, factor: int, colour: Floats, first: int, last: int) -> None:
     height, width, _ = image.shape
     for i in range(first, last):
         top, bottom = i * factor, min(height, (i + 1) * factor)
         for j in range(colour.shape[1]):
             left, right = j * factor, min(width, (j + 1) * factor)
-            red, green, blue, total, squares = 0, 0, 0, 0, 0
+            red, green, blue = 0, 0, 0
             for y in range(top, bottom):
                 for x in range(left, right):
-                    r, g, b = int(image[y, x, 0]), int(image[y, x, 1]), int(image[y, x, 2])
-                    grey = (77 * r + 150 * g + 29 * b) >> 8
-                    red += r
-                    green += g
-                    blue += b
-                    total += grey
-                    squares += grey * grey
+                    red += int(image[y, x, 0])
+                    green += int(image[y, x, 1])
+                    blue += int(image[y, x, 2])
             count = (bottom - top) * (right - left)
             colour[i, j, 0] = red / (255.0 * count)
             colour[i, j, 1] = green / (255.0 * count)
             colour[i, j, 2] = blue / (255.0 * count)
-            variance = squares / count - (total / count) ** 2
-            deviation[i, j] = np.sqrt(max(variance, 0.0)) / 255.0
-
-
-def grow(start: FloatMap, colour: Floats, slope: float, slack: float) -> FloatMap:
-    """Spread costs along the cheapest 8-connected paths: a step costs slope * max(0, |change of colour| - slack).
-
-    Two forward and two backward raster sweeps: exact but for paths that wind more often than that.
-
-    Args:
-        start: (height, width) cost of starting at a pixel.
-        colour: (height, width, 3).
-        slope: cost of a unit of colour change, summed over the channels.
-        slack: change that costs nothing, so that a sky that darkens upwards stays one piece.
-    """
-    return grow_all(start[None], colour, slope, slack)[0]
-
-
-def grow_all(starts: FloatMap, colour: Floats, slope: float, slack: float) -> FloatMap:
-    """Spread several costs (n, height, width) as `grow` does one."""
-    costs = starts.copy()
-    threads.run(len(costs), lambda k: _grow(costs[k], colour, slope, slack))
-    return costs
-
-
-@compiled(fastmath=FAST, error_model="numpy")
-def _grow(cost: FloatMap, colour: Floats, slope: float, slack: float) -> None:
-    height, width = cost.shape
-    for sweep in range(4):
-        sign = 1 if sweep % 2 == 0 else -1
-        for i in range(height):
-            y = i if sign > 0 else height - 1 - i
-            for j in range(width):
-                x = j if sign > 0 else width - 1 - j
-                best = cost[y, x]
-                for k in range(4):
-                    yy = y - sign if k < 3 else y
-                    xx = x + sign * (k - 1) if k < 3 else x - sign
-                    if yy < 0 or yy >= height or xx < 0 or xx >= width or cost[yy, xx] >= best:
-                        continue
-                    change = (
-                        abs(colour[y, x, 0] - colour[yy, xx, 0])
-                        + abs(colour[y, x, 1] - colour[yy, xx, 1])
-                        + abs(colour[y, x, 2] - colour[yy, xx, 2])
-                    )
-                    best = min(best, cost[yy, xx] + np.float32(slope) * max(change - np.float32(slack), np.float32(0)))
-                cost[y, x] = best
 
 
 def fit_linear(moments: Floats, smoothing: float) -> Floats:

@@ -1,216 +1,197 @@
-"""Training of the sky mask: fits its two rules and writes weights/sky.npz.
+"""Training of the sky mask's network (sky_net.py); writes weights/sky.npz.
 
-    python -m priors.learn.fit_sky --data ../shared/data --streets street21 street22
+    python -m priors.learn.fit_sky runs/sky --data ../shared/data --streets street21 street22 --steps 900
 
-Both rules are dense networks with one hidden layer; the second sees the first one's answer. So that rule 2
-learns how far rule 1 can be trusted in a new place, it is fitted on answers of rules that had not seen the place.
+It learns from CamVid's training split, outlined KITTI frames and rendered streets; with --teachers, runs that learned
+from those, also from KITTI frames that these, LiDAR and matching label (sky_evidence.py). A run that was stopped goes
+on with the same command.
 """
 
-import itertools
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+import io
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Annotated, Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
+import torch
+import torch.nn.functional as F
 import tyro
+from torch import Tensor, nn
 
+from eval.files import write_bytes
 from priors import sky
-from priors.codecs import as_rgb
+from priors.adapt.training_step import Batch
 from priors.errors import DataError
-from priors.kernels.sky import shrink
-from priors.learn.sky_augment import augment
-from priors.learn.sky_labels import SKY, UNKNOWN, SkySample, read_camvid, read_kitti, read_street
-from priors.types import FloatMap, Image
+from priors.learn import checkpoint
+from priors.learn.config import TrainConfig
+from priors.learn.loop import TrainProgress, train
+from priors.learn.sky_augment import draw_view
+from priors.learn.sky_evidence import Labeller, read_evidence
+from priors.learn.sky_labels import SKY, UNKNOWN, SkySample, of_place, read_camvid, read_kitti, read_street
+from priors.learn.sky_net import SkyNet, fold
+from priors.nets.weights import load
+from priors.sky import Floats
+from priors.types import FloatMap, Image, Mask
 
-Floats = npt.NDArray[np.float32]
-COPIES = {"0001": 6, "0006": 4, "0016": 2, "06": 90, "01": 50, "image_02": 70, "street": 12}
-"""How many augmented copies of each image: places with few images get more."""
-BLOCKS_PER_IMAGE = 250
-DECAY = 1e-4
+SHAPES = ((144, 256), (176, 208), (112, 320))
+"""Heights and widths of views."""
+SHARES = {"street": 0.7, "06": 0.5, "01": 0.4, "image_02": 0.4, "kitti2015": 1.5, "drive0009": 0.3}
+"""How often a place is drawn from, where not once: it has few images."""
 
 
 @dataclass(frozen=True)
 class SkyFit:
-    """Fit the sky mask on CamVid's training split, a few KITTI training frames and rendered streets."""
+    """Train the sky mask's network."""
 
+    out: Annotated[Path, tyro.conf.Positional]
+    """The run's folder."""
     data: Path
-    """Folder that holds camvid, kitti_odometry and kitti_raw_train."""
+    """Folder that holds camvid, kitti_odometry, kitti_raw_train and kitti_stereo2015."""
     streets: tuple[Path, ...] = ()
     """Folders written by `priors street`."""
-    out: Path = sky.WEIGHTS
-    """Where the weights go."""
-    seed: int = 0
-    """Decides the augmented copies, the blocks drawn and the start of the fit."""
-
-    def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise DataError(f"--seed is {self.seed}, expected 0 or more")
+    teachers: tuple[Path, ...] = ()
+    """Folders of runs that label KITTI frames; none: these are not learned from."""
+    start: Path | None = None
+    """Folder of a run whose best network this one starts from; none: from ImageNet's weights."""
+    weights: Path | None = None
+    """Where the finished network's weights go; none: they stay in the run's folder."""
+    how: tyro.conf.OmitArgPrefixes[TrainConfig] = field(default_factory=TrainConfig)
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Fit, write, and print how each place fares when it is held out; takes the command line's arguments."""
+    """Train, print each place's IoU, and write the weights; takes the command line's arguments."""
     fit = tyro.cli(SkyFit, args=arguments, description=__doc__)
-    samples = read_samples(fit)
-    places = sorted({sample.place for sample in samples})
-    firsts, labels = first_blocks(samples, places, fit.seed)
-    print({place: len(label) for place, label in zip(places, labels, strict=True)})
-    values = held_out_blocks(samples, places, (firsts, labels), fit.seed)
-    for held, place in enumerate(places):
-        rule = fit_layers(*without(values, labels, held), fit.seed)
-        both, first = iou(sky.apply_layers(rule, values[held].T), labels[held]), iou(values[held][:, 0], labels[held])
-        print(f"{place} held out: IoU {both:.3f}, rule 1 {first:.3f}")
-    rules = fit_layers(firsts, labels, fit.seed), fit_layers(values, labels, fit.seed)
-    arrays = {
-        f"rule{number}_{name}{depth}": array
-        for number, rule in enumerate(rules, 1)
-        for depth, layer in enumerate(rule)
-        for name, array in zip("wb", layer, strict=True)
-    }
-    np.savez(fit.out, **arrays)  # type: ignore[arg-type]
-    print(f"wrote {fit.out}")
+    samples = [*read_labelled(fit.data, fit.streets)]
+    if fit.teachers:
+        samples += read_evidence(fit.data, average([read_run(run) for run in fit.teachers]))
+    task = SkyTask(samples, list(read_camvid(fit.data / "camvid", "val")), start=fit.start)
+    print(train(task, fit.out, fit.how, on_step=tell))
+    if fit.weights is not None:
+        write(fit.weights, read_run(fit.out))
+        print(f"wrote {fit.weights}")
 
 
-def read_samples(fit: SkyFit) -> list[SkySample]:
-    """Read what is fitted on."""
-    samples = [*read_camvid(fit.data / "camvid", "train"), *read_kitti(fit.data)]
-    return samples + [sample for street in fit.streets for sample in read_street(street)]
+def tell(progress: TrainProgress) -> None:
+    """Print how far a training is."""
+    terms = ", ".join(f"{name} {value:.3f}" for name, value in progress.values.items())
+    print(f"{progress.done:4.0%} step {progress.step}: {terms}", flush=True)
 
 
-def first_blocks(samples: Sequence[SkySample], places: Sequence[str], seed: int) -> tuple[list[Floats], list[Floats]]:
-    """Draw blocks of every place: what rule 1 sees of them, and their share of sky."""
-    blocks = [sample_blocks(of_place(samples, place), seed) for place in places]
-    firsts = [np.concatenate([first for first, *_ in group]) for group in blocks]
-    return firsts, [np.concatenate([label for *_, label in group]) for group in blocks]
+def read_labelled(data: Path, streets: Iterable[Path]) -> list[SkySample]:
+    """Read what has labels: CamVid's training split, outlined KITTI frames, streets."""
+    samples = [*read_camvid(data / "camvid", "train"), *read_kitti(data)]
+    return samples + [sample for street in streets for sample in read_street(street)]
 
 
-def held_out_blocks(
-    samples: Sequence[SkySample], places: Sequence[str], first: tuple[list[Floats], list[Floats]], seed: int
-) -> list[Floats]:
-    """Return what rule 2 sees of the same blocks, given rules 1 that had not seen the place."""
-    values = []
-    for held, place in enumerate(places):
-        rule = fit_layers(*without(*first, held), seed)
-        values.append(second_blocks(of_place(samples, place), rule, seed)[0])
-    return values
+def average(runs: Sequence[sky.Layers]) -> Labeller:
+    """Return a labeller whose logits are the mean of networks'."""
+    from priors.kernels.sky_net import forward
+
+    def see(image: Image) -> FloatMap:
+        colour = sky.shrink_to_see(image)
+        logit = np.mean([forward(colour, layers) for layers in runs], axis=0)
+        return np.asarray(cv2.resize(logit, (image.shape[1], image.shape[0])), np.float32)
+
+    return see
 
 
-def without(values: list[Floats], labels: list[Floats], held: int) -> tuple[list[Floats], list[Floats]]:
-    """Leave one place out."""
-    return values[:held] + values[held + 1 :], labels[:held] + labels[held + 1 :]
+def read_run(run: Path) -> sky.Layers:
+    """Return the layers of a run's best network."""
+    net = SkyNet()
+    net.load_state_dict(load(run / checkpoint.BEST).tensors)
+    return as_layers(fold(net.eval()))
 
 
-def iou(logit: FloatMap, label: FloatMap) -> float:
-    """Return intersection over union of what is found and what is sky."""
-    both = int(np.count_nonzero((logit > 0) & (label > 0.5)))
-    return both / max(1, int(np.count_nonzero((logit > 0) | (label > 0.5))))
+def as_layers(arrays: dict[str, Floats]) -> sky.Layers:
+    """Pair weights and biases, rounded as the file of weights rounds them."""
+    rounded = {name: np.ascontiguousarray(array.astype(np.float16), np.float32) for name, array in arrays.items()}
+    return sky.pair_layers(rounded)
 
 
-def of_place(samples: Iterable[SkySample], place: str) -> list[SkySample]:
-    """Return a place's samples."""
-    return [sample for sample in samples if sample.place == place]
+def write(path: Path, layers: sky.Layers) -> None:
+    """Write layers as the mask reads them, float16."""
+    arrays: dict[str, Any] = {}
+    for name, (weights, bias) in layers.items():
+        arrays[f"{name}.w"], arrays[f"{name}.b"] = weights.astype(np.float16), bias.astype(np.float16)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **arrays)
+    write_bytes(path, buffer.getvalue())
 
 
-def sample_blocks(samples: Sequence[SkySample], seed: int) -> list[tuple[Floats, Floats]]:
-    """Draw blocks of every image and its augmented copies: what `describe` says of them and their share of sky."""
-    rng = np.random.default_rng(seed)
-    drawn = []
-    for image, label in with_copies(samples, rng):
-        first, _ = sky.describe(*blocks_of(image))
-        chosen, share = draw_blocks(label, first.shape[1], first.shape[2], rng)
-        drawn.append((first.reshape(len(first), -1)[:, chosen].T, share))
-    return drawn
+@dataclass
+class SkyTask:
+    """Teaches SkyNet which pixels are sky; see training_run.Task."""
+
+    samples: Sequence[SkySample]
+    judged: Sequence[SkySample]
+    """Images to validate on."""
+    batch_size: int = 8
+    start: Path | None = None
+    """Folder of a run to start from; none: from ImageNet's weights."""
+    net: nn.Module = field(init=False)
+
+    def __post_init__(self) -> None:
+        torch.manual_seed(0)
+        self.net = SkyNet()
+        if self.start is None:
+            self.net.take_imagenet()
+        else:
+            self.net.load_state_dict(load(self.start / checkpoint.BEST).tensors)
+        self._places = sorted({sample.place for sample in self.samples})
+        if not self._places:
+            raise DataError("sky: no labelled image to learn from: name a folder that holds some by --data")
+        shares = np.array([SHARES.get(place, 1.0) for place in self._places])
+        self._shares = shares / shares.sum()
+        self._of = {place: of_place(self.samples, place) for place in self._places}
+
+    def batch(self, step: int, rng: np.random.Generator) -> Batch:
+        """Make a batch of views of one shape."""
+        size = SHAPES[rng.integers(len(SHAPES))]
+        views = []
+        for _ in range(self.batch_size):
+            there = self._of[self._places[rng.choice(len(self._places), p=self._shares)]]
+            views.append(draw_view(there[rng.integers(len(there))], size, rng))
+        images = np.stack([sky.brighten(image.astype(np.float32) / np.float32(255)) for image, _ in views])
+        return {
+            "image": torch.from_numpy(images).permute(0, 3, 1, 2),
+            "label": torch.from_numpy(np.stack([label for _, label in views])),
+        }
+
+    def loss(self, batch: Batch) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return cross-entropy and the soft intersection over union (Rahman and Wang, 2016), over known pixels."""
+        logit, (share, known) = self.net(batch["image"]).float(), batch["label"].unbind(1)
+        weight = (known > 0.7).float()
+        entropy = (F.binary_cross_entropy_with_logits(logit, share, reduction="none") * weight).sum()
+        entropy = entropy / weight.sum().clamp(min=1)
+        found = logit.sigmoid()
+        both = (weight * found * share).sum()
+        overlap = both / ((weight * (found + share)).sum() - both).clamp(min=1)
+        return entropy + 0.3 * (1 - overlap), {"entropy": entropy.detach(), "iou": overlap.detach()}
+
+    def validate(self, net: nn.Module) -> dict[str, float]:
+        """Return the IoU of each place judged, "error" is what its mean lacks."""
+        layers = as_layers(fold(net))
+        found = {
+            place: overlap(of_place(self.judged, place), lambda image: sky.find_sky(image, layers))
+            for place in sorted({sample.place for sample in self.judged})
+        }
+        return {"error": 1 - float(np.mean(list(found.values()))), **found}
+
+    def pictures(self, net: nn.Module) -> dict[str, Image]:
+        """Draw nothing: what counts is seen in whole frames, by the mask itself."""
+        return {}
 
 
-def second_blocks(samples: Sequence[SkySample], rule: sky.Layers, seed: int) -> tuple[Floats, Floats]:
-    """Draw the same blocks: what `compare` says of them, given rule 1."""
-    rng = np.random.default_rng(seed)
-    values, shares = [], []
-    for image, label in with_copies(samples, rng):
-        first, colour = sky.describe(*blocks_of(image))
-        second = sky.compare(first, colour, sky.apply_layers(rule, first))
-        chosen, share = draw_blocks(label, first.shape[1], first.shape[2], rng)
-        values.append(second.reshape(len(second), -1)[:, chosen].T)
-        shares.append(share)
-    return np.concatenate(values), np.concatenate(shares)
-
-
-def blocks_of(image: Image) -> tuple[Floats, FloatMap]:
-    """Average an image to blocks, as `sky_mask` does."""
-    image = as_rgb(image)
-    return shrink(np.ascontiguousarray(image), sky.block_side(*image.shape[:2]))
-
-
-def draw_blocks(
-    label: FloatMap, rows: int, columns: int, rng: np.random.Generator
-) -> tuple[npt.NDArray[np.int64], Floats]:
-    """Draw blocks whose label is known: their flat indices and their share of sky."""
-    size = (columns, rows)
-    share = cv2.resize((label == SKY).astype(np.float32), size, interpolation=cv2.INTER_AREA).ravel()
-    unknown = cv2.resize((label == UNKNOWN).astype(np.float32), size, interpolation=cv2.INTER_AREA).ravel()
-    labelled = np.flatnonzero(unknown < 0.3)
-    chosen = rng.choice(labelled, BLOCKS_PER_IMAGE) if labelled.size else labelled
-    return chosen, share[chosen].astype(np.float32)
-
-
-def with_copies(samples: Sequence[SkySample], rng: np.random.Generator) -> Iterable[tuple[Image, FloatMap]]:
-    """Yield every image as it is, then its augmented copies."""
+def overlap(samples: Sequence[SkySample], find: Callable[[Image], Mask]) -> float:
+    """Return the intersection over union of what is found and what is sky, over all known pixels of samples."""
+    both = either = 0
     for sample in samples:
-        yield sample.image, sample.label
-        for _ in range(COPIES[sample.place]):
-            yield augment(sample.image, sample.label, rng)
-
-
-def fit_layers(
-    values: Sequence[Floats], labels: Sequence[Floats], seed: int, hidden: int = 24, epochs: int = 6
-) -> sky.Layers:
-    """Fit one hidden layer to shares of sky by cross-entropy (Adam, cosine decay, weight decay); inputs are whitened.
-
-    Returns:
-        (weights, bias) per layer, for inputs as they are.
-    """
-    x, y = np.concatenate(values), np.concatenate(labels)
-    mean, deviation = x.mean(axis=0), x.std(axis=0) + 1e-6
-    x = (x - mean) / deviation
-    rng = np.random.default_rng(seed)
-    sizes = [x.shape[1], hidden, 1]
-    layers = [
-        [rng.normal(0, np.sqrt(2 / a), (a, b)).astype(np.float32), np.zeros(b, np.float32)]
-        for a, b in itertools.pairwise(sizes)
-    ]
-    moments = [[[np.zeros_like(p), np.zeros_like(p)] for p in layer] for layer in layers]
-    batch, step = 2048, 0
-    steps = epochs * (len(y) // batch)
-    for _ in range(epochs):
-        order = rng.permutation(len(y))
-        for start in range(0, len(y) - batch + 1, batch):
-            chosen = order[start : start + batch]
-            step += 1
-            rate = 3e-3 * 0.5 * (1 + np.cos(np.pi * step / steps))
-            for layer, grads, kept in zip(layers, gradients(layers, x[chosen], y[chosen]), moments, strict=True):
-                for parameter, grad, moment in zip(layer, grads, kept, strict=True):
-                    moment[0] = 0.9 * moment[0] + 0.1 * grad
-                    moment[1] = 0.99 * moment[1] + 0.01 * grad * grad
-                    scale = np.sqrt(moment[1] / (1 - 0.99**step)) + 1e-8
-                    parameter -= (rate * (moment[0] / (1 - 0.9**step)) / scale).astype(np.float32)
-    weights, bias = layers[0]
-    layers[0] = [weights / deviation[:, None], bias - (mean / deviation) @ weights]
-    return tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in layers)
-
-
-def gradients(layers: Sequence[Sequence[Floats]], x: Floats, y: Floats) -> list[tuple[Floats, Floats]]:
-    """Return the loss's gradient for each layer's weights and bias."""
-    inputs = [x]
-    for weights, bias in layers[:-1]:
-        inputs.append(np.maximum(inputs[-1] @ weights + bias, 0))
-    logit = (inputs[-1] @ layers[-1][0] + layers[-1][1])[:, 0]
-    error = ((sky.sigmoid(logit) - y) / len(y))[:, None]
-    out = []
-    for (weights, _), values in zip(layers[::-1], inputs[::-1], strict=True):
-        out.append((values.T @ error + DECAY * weights, error.sum(axis=0)))
-        error = (error @ weights.T) * (values > 0)
-    return out[::-1]
+        found, known, true = find(sample.image), sample.label != UNKNOWN, sample.label == SKY
+        both += int(np.count_nonzero(found & true))
+        either += int(np.count_nonzero((found | true) & known))
+    return both / max(1, either)
 
 
 if __name__ == "__main__":

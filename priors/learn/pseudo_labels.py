@@ -89,14 +89,14 @@ def label(left: Image, right: Image, matched_px: FloatMap, teacher_px: FloatMap 
 def find_sky(image: Image, matched_px: FloatMap) -> tuple[Mask, Mask]:
     """Return where there surely is sky (h, w), and where there may be some."""
     window = np.ones((SKY_MARGIN_PX, SKY_MARGIN_PX), np.uint8)
-    mask = _reaching_far(sky_mask(image).astype(np.uint8), matched_px)
+    mask = reaching_far(sky_mask(image).astype(np.uint8), matched_px)
     matched = cv2.dilate((matched_px > SKY_PX).astype(np.uint8), window) > 0
     # The image's own edge is no edge of the sky.
     inside = cv2.erode(mask, window, borderType=cv2.BORDER_CONSTANT, borderValue=1) > 0
     return inside & ~matched, (cv2.dilate(mask, window) > 0) & (matched_px <= SKY_PX)
 
 
-def _reaching_far(mask: npt.NDArray[np.uint8], matched_px: FloatMap) -> npt.NDArray[np.uint8]:
+def reaching_far(mask: npt.NDArray[np.uint8], matched_px: FloatMap) -> npt.NDArray[np.uint8]:
     """Keep the pieces of the mask (h, w) along whose outline something far is matched."""
     count, pieces, boxes, _ = cv2.connectedComponentsWithStats(mask)
     reaching = np.zeros_like(mask)

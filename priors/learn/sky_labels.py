@@ -4,7 +4,7 @@ CamVid has labels, the street knows its sky; for a few KITTI frames (training dr
 where the sky may be and a rule on brightness which of its pixels are sky.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -87,6 +87,11 @@ SLOW_OUTLINES = (
     (25, _box(760, 100)),
 )
 """Frame's place in the slow drive and its polygon: overexposed sky, white trucks beside it."""
+
+
+def of_place(samples: Iterable[SkySample], place: str) -> list[SkySample]:
+    """Return a place's samples."""
+    return [sample for sample in samples if sample.place == place]
 
 
 def read_camvid(folder: Path, split: str) -> Iterator[SkySample]:

@@ -17,7 +17,6 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.nets.confidence import is_hidden
-from priors.sky import Layers
 from priors.types import FloatMap, Mask
 
 ENTRY = "surfaces"
@@ -37,6 +36,8 @@ CLUES = 6 + len(MEANS) + OFFERED - 1
 LEAST_PX, LEAST_SIGMA_PX = 1.0, 0.05
 """What a disparity and a deviation are at least, before their logarithm is taken."""
 LARGEST_LOGIT = 30.0
+Layers = tuple[tuple[FloatMap, FloatMap], ...]
+"""Weights (inputs, outputs) and bias (outputs) of each."""
 Maps = tuple[FloatMap, FloatMap, FloatMap, FloatMap]
 """Disparity and its deviation, px, doubt, and confidence in [0, 1]."""
 

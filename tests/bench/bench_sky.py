@@ -1,4 +1,4 @@
-"""IoU of the sky mask on CamVid's validation split (and any street given), and its time at KITTI's size.
+"""IoU of the sky mask on CamVid's validation split, outlined KITTI frames and any street given; time at KITTI's size.
 
 python tests/bench/bench_sky.py --data ../shared/data [--street DIR]
 """
@@ -11,6 +11,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from priors.learn.sky_held_back import read_held_back
 from priors.learn.sky_labels import SKY, UNKNOWN, SkySample, read_camvid, read_kitti, read_street
 from priors.sky import sky_mask
 
@@ -38,6 +39,7 @@ def main() -> None:
     parser.add_argument("--street", type=Path)
     options = parser.parse_args()
     score("camvid val", list(read_camvid(options.data / "camvid", "val")))
+    score("kitti 2015, held back", list(read_held_back(options.data)))
     score("kitti, outlined (fitted)", list(read_kitti(options.data)))
     if options.street:
         score(f"street {options.street.name}", list(read_street(options.street, 1)))
