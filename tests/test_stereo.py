@@ -211,7 +211,7 @@ def test_bad_input_is_named() -> None:
 
 def test_resolve_without_lidar_is_what_the_rig_usually_has() -> None:
     left, right, _ = scene()
-    assert Stereo().resolve(frame(left, right)) == Stereo(offset_px=ZERO, scale=1.0)
+    assert Stereo().resolve(frame(left, right)) == Stereo(offset_px=ZERO, scale=1.0, resize="none")
     made = frame(left, right, rig=KITTI)
     kitti, usual = Stereo().resolve(made), usual_error(KITTI, made.camera)
     assert (kitti.offset_px, kitti.scale) == (usual.offset_px, usual.scale) != (ZERO, 1.0)
