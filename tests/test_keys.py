@@ -51,10 +51,10 @@ KNOWN = {
 }
 PINNED = {
     "completion": "23d2839707",
-    "fused": "ebbaaba4c0",
+    "fused": "df8a7ad72c",
     "lidar": "a2ee52f3e3",
     "mono": "a7fe1a999a",
-    "stereo": "23596a64bc",
+    "stereo": "8fc3f0408e",
 }
 
 

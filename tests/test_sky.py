@@ -61,9 +61,9 @@ def test_rows_that_hold_sky_only_are_not_matched(monkeypatch: pytest.MonkeyPatch
     shapes: list[tuple[int, ...]] = []
     estimate = classical.estimate
 
-    def watched(left: np.ndarray, right: np.ndarray, most_px: int) -> tuple[np.ndarray, np.ndarray]:
+    def watched(left: np.ndarray, right: np.ndarray, most_px: int, sky: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         shapes.append(left.shape)
-        return estimate(left, right, most_px)
+        return estimate(left, right, most_px, sky)
 
     monkeypatch.setattr(classical, "estimate", watched)
     mask = np.zeros((188, 620), bool)

@@ -4,6 +4,7 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -16,9 +17,10 @@ from cli import priors
 from priors.errors import DataError
 from priors.learn import surface_fit
 from priors.learn.surface_fit import UnsurePixels
+from priors.methods import _stereo_classical as classical
 from priors.nets import runtime, surface_choice, weights
-from priors.nets.surface_choice import CLUES, FARTHEST, HIDDEN, NEAREST, OFFERED, UNSURE, SurfaceChoice
-from priors.types import FloatMap
+from priors.nets.surface_choice import CLUES, FARTHEST, FIRST_CLUES, HIDDEN, NEAREST, OFFERED, UNSURE, SurfaceChoice
+from priors.types import FloatMap, Image
 
 SIZES = st.tuples(st.integers(1, 12), st.integers(1, 14))
 
@@ -31,9 +33,14 @@ def some_maps(size: tuple[int, int], seed: int) -> tuple[FloatMap, FloatMap, Flo
     return tuple(map_.astype(np.float32) for map_ in maps)  # type: ignore[return-value]
 
 
-def some_choice(seed: int) -> SurfaceChoice:
+def some_image(size: tuple[int, int], seed: int) -> Image:
+    """Draw an image (height, width, 3) of few colours."""
+    return (40 * np.random.default_rng(seed).integers(0, 3, (*size, 3))).astype(np.uint8)
+
+
+def some_choice(seed: int, clues: int = CLUES) -> SurfaceChoice:
     rng = np.random.default_rng(seed)
-    sides = CLUES, *HIDDEN, OFFERED
+    sides = clues, *HIDDEN, OFFERED
     layers = (
         (rng.normal(0, 1, side).astype(np.float32), rng.normal(0, 1, side[1]).astype(np.float32))
         for side in pairwise(sides)
@@ -66,7 +73,7 @@ def test_offered_are_the_extremes_of_the_windows(size: tuple[int, int], seed: in
 def test_nothing_comes_out_that_was_nowhere_near(size: tuple[int, int], seed: int) -> None:
     maps = some_maps(size, seed)
     apart = np.random.default_rng(seed).random(size) < 0.2
-    chosen_px = some_choice(seed)(maps, apart)
+    chosen_px = some_choice(seed)(maps, some_image(size, seed), apart)
     sure = (maps[3] >= UNSURE) | apart
     assert np.array_equal(chosen_px[sure], maps[0][sure])
     for row, column in np.argwhere(~sure):
@@ -78,7 +85,7 @@ def test_the_rule_is_the_dense_network_that_was_fitted() -> None:
     maps = some_maps((20, 30), 3)
     choice, at = some_choice(4), np.arange(600)
     offered_px = surface_choice.offer(maps[0], at)
-    clues = surface_choice.see(offered_px, maps, at)
+    clues = surface_choice.see(offered_px, maps, some_image((20, 30), 5), at)
     net = nn.Sequential(
         *(
             part
@@ -92,6 +99,55 @@ def test_the_rule_is_the_dense_network_that_was_fitted() -> None:
             layer.bias.copy_(torch.from_numpy(bias))
         share = net.double()(torch.from_numpy(clues.T).double()).softmax(1).numpy()
     assert np.allclose(choice.decide(clues, offered_px), (share * offered_px.T).sum(1), rtol=1e-3)
+
+
+def slow_look_around(map_log: FloatMap, trust: FloatMap, image: Image, place: tuple[int, int]) -> list[float]:
+    """Return what surroundings.gather says of one pixel: means weighted by trust, by colour too, and their spread."""
+    (row, column), (reach, step) = place, surface_choice.GRID
+    around = [
+        (
+            min(max(row + down, 0), map_log.shape[0] - 1),
+            min(max(column + right, 0), map_log.shape[1] - 1),
+        )
+        for down in range(-reach, reach + 1, step)
+        for right in range(-reach, reach + 1, step)
+    ]
+    more = np.array([float(map_log[there]) - float(map_log[place]) for there in around])
+    plain = np.array([float(trust[there]) ** 2 for there in around])
+    steps = np.array([np.abs(image[there].astype(int) - image[place].astype(int)).sum() for there in around])
+    alike = plain * np.exp(-steps / surface_choice.ALIKE_GREY)
+    mean = np.average(more, weights=alike)
+    spread = np.sqrt(np.average((more - mean) ** 2, weights=alike))
+    return [mean, np.average(more, weights=plain), np.log(alike.sum() / plain.sum()), spread]
+
+
+@given(SIZES, st.integers(0, 10**6))
+@settings(deadline=None, max_examples=10)
+def test_neighbours_of_a_colour_count_by_trust_and_colour(size: tuple[int, int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    map_log, trust = (rng.uniform(low, 1, size).astype(np.float32) for low in (-1, 0.3))
+    image = some_image(size, seed)
+    at = np.arange(map_log.size)
+    found = surface_choice.look_around(map_log, trust, image, at)
+    for index in at:
+        expected = slow_look_around(map_log, trust, image, divmod(int(index), size[1]))
+        assert np.allclose(found[:, index], expected, atol=2e-3)
+
+
+def test_a_neighbour_of_the_same_colour_says_which_side_of_an_outline_a_pixel_is_on() -> None:
+    map_log = np.where(np.arange(20) < 10, 1.0, 3.0).astype(np.float32) * np.ones((9, 1), np.float32)
+    image = np.where(np.arange(20) < 8, 50, 200).astype(np.uint8)[None, :, None] * np.ones((9, 1, 3), np.uint8)
+    at = np.array([4 * 20 + 8])  # the map calls it far; its colour is that of the near side
+    mean, plain, share, _ = surface_choice.look_around(map_log, np.ones((9, 20), np.float32), image, at)
+    assert mean[0] > plain[0] + 0.3 and share[0] < 0
+
+
+def test_rules_of_before_look_at_the_first_clues() -> None:
+    maps, image = some_maps((12, 16), 6), some_image((12, 16), 7)
+    old = some_choice(8, FIRST_CLUES)
+    weight, bias = old.layers[0]
+    blind = np.concatenate([weight, np.zeros((CLUES - FIRST_CLUES, len(bias)), np.float32)])
+    assert np.allclose(old(maps, image), SurfaceChoice(((blind, bias), *old.layers[1:]))(maps, image), rtol=1e-5)
 
 
 def made_pixels(seed: int, n: int = 6000) -> UnsurePixels:
@@ -139,13 +195,30 @@ def test_header_keeps_the_choice(tmp_path: Path) -> None:
         assert all(np.allclose(a, b, atol=6e-5) for a, b in zip(held, given_, strict=True))
 
 
-def test_shipped_network_chooses() -> None:
-    choice = SurfaceChoice.read(weights.read_about(weights.find("cfnet", "s")))
-    assert choice is not None and [weight.shape for weight, _ in choice.layers] == [
-        (CLUES, 16),
-        (16, 16),
-        (16, OFFERED),
-    ]
+def test_shipped_rules_look_at_all_clues() -> None:
+    network = SurfaceChoice.read(weights.read_about(weights.find("cfnet", "s")))
+    for choice in (network, classical.load_choice()):
+        assert choice is not None
+        assert [weight.shape for weight, _ in choice.layers] == [(CLUES, 16), (16, 16), (16, OFFERED)]
+
+
+def test_classical_stereo_errs_less_around_a_post_that_is_plain() -> None:
+    """A post of one colour before a wall: the filling blurs its outline, and one of both surfaces is right."""
+    rng = np.random.default_rng(0)
+    wall = cv2.GaussianBlur(rng.integers(0, 256, (120, 400)).astype(np.uint8), (0, 0), 1.0)
+    left, right, truth_px = wall[:, :320].copy(), wall[:, 6:326].copy(), np.full((120, 320), 6, np.float32)
+    left[20:, 150:210], right[20:, 120:180], truth_px[20:, 150:210] = 255, 255, 30
+    found = classical.smooth(left, right)[0], classical.estimate(left, right, 48)[0]
+    before, after = (float(np.abs(map_px / truth_px - 1).mean()) for map_px in found)
+    assert after < before
+    apart = classical.estimate(left, right, 48, np.ones((120, 320), np.bool_))[0]
+    assert np.array_equal(apart, classical.smooth(left, right, 48)[0])  # the sky keeps what was matched
+
+
+def test_what_nothing_matched_stays_without_a_value() -> None:
+    black = np.zeros((40, 60), np.uint8)
+    disparity_px, _ = classical.estimate(black, black, 16)
+    assert not disparity_px.any()
 
 
 @pytest.mark.networks
@@ -165,7 +238,7 @@ def test_command_writes_the_header_and_leaves_the_tensors(
     assert SurfaceChoice.read(after.about) is not None and after.about.keys() <= before.about.keys()
     assert all(torch.equal(held[name], value) for name, value in after.tensors.items())
     with pytest.raises(DataError, match="no pairs with truth"):
-        surface_fit.collect(runtime.open_net("cfnet", "s", "fp32"), {})
+        surface_fit.collect(surface_fit.matcher_of(runtime.open_net("cfnet", "s", "fp32")), {}, {})
 
 
 def test_other_networks_have_no_choice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

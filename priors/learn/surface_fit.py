@@ -1,4 +1,4 @@
-"""Fit of a stereo network's surface choice (nets/surface_choice.py), on pairs with truth that training may use.
+"""Fit of a surface choice (nets/surface_choice.py), on pairs with truth that training may use.
 
     priors train surfaces priors/weights/cfnet-s.safetensors --street samples/ --real DATA
 
@@ -8,7 +8,7 @@ from D1's outliers, and a little from errors in metres and pixels. Before it is 
 is left out in turn: that says what it is worth on pairs that it has not seen. What is written goes into the header.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -28,9 +28,11 @@ from priors.learn.stereo_pair import StereoPair
 from priors.nets import runtime, surface_choice, weights
 from priors.nets.confidence import ConfidenceCalibration
 from priors.nets.runtime import Ready, as_map
-from priors.nets.surface_choice import CLUES, HIDDEN, OFFERED, SurfaceChoice
+from priors.nets.surface_choice import CLUES, HIDDEN, OFFERED, Maps, SurfaceChoice
 from priors.types import FloatMap
 
+Matcher = Callable[[StereoPair], Maps]
+"""Matches a pair; returns what the choice looks at."""
 LARGEST_PX = 192
 BELOW = 0.7
 """Pixels of less confidence are fitted to: some more than surfaces are chosen for."""
@@ -40,7 +42,7 @@ SURE = 0.5
 """Labels count where their weight is above this."""
 LEAST_PX = 1.0
 """Truth of less disparity is not fitted to; nor is the sky, which the sky mask knows."""
-SHARES = {"street": 0.2, KITTI2015: 1.0, DRIVE: 1.0}
+SHARES = {"street": 0.3, KITTI2015: 1.0, DRIVE: 1.0}
 """What a pair of each source weighs. A scanner's truth ends before a near outline, so that near surfaces are right more
 often among its pixels than in a street, whose truth is whole: streets hold the rule back from making them wider."""
 REACH = 384.0
@@ -88,47 +90,61 @@ def fit_file(file: Path, folders: Folders) -> list[str]:
     """
     about = weights.read_about(file)
     ready = runtime.open_net(about["net"], about["size"], runtime.choose("auto"), file)
-    train, _ = find_sources(folders)
-    paths = {name: files for name, files in train.drawn().items() if name in SHARES}
-    pixels = collect(ready, paths)
+    pixels = collect(matcher_of(ready), find_pairs(folders), SHARES)
     lines = list(cross_validate(pixels))
     weights.rewrite_about(file, **{surface_choice.ENTRY: fit(pixels).record()})
     return lines
 
 
-def collect(ready: Ready, paths: dict[str, Sequence[Path]], seed: int = 0) -> UnsurePixels:
-    """Run the network on pairs and draw pixels of each; DataError where there are none.
+def find_pairs(folders: Folders) -> dict[str, Sequence[Path]]:
+    """Return the files of the pairs to fit to, by source."""
+    train, _ = find_sources(folders)
+    return {name: files for name, files in train.drawn().items() if name in SHARES}
+
+
+def matcher_of(ready: Ready) -> Matcher:
+    """Return what a network says of a pair."""
+    calibration = ConfidenceCalibration.read(ready.about)
+
+    def look(pair: StereoPair) -> Maps:
+        out = ready(to_tensor([pair.left]), to_tensor([pair.right]), largest_px=LARGEST_PX)
+        disparity_px, sigma_px, doubt = (as_map(map_) for map_ in (out.disparity_px, out.sigma_px, out.doubt))
+        return disparity_px, sigma_px, doubt, calibration(disparity_px, sigma_px, doubt)
+
+    return look
+
+
+def collect(
+    look: Matcher, paths: Mapping[str, Sequence[Path]], shares: Mapping[str, float], seed: int = 0
+) -> UnsurePixels:
+    """Match pairs and draw pixels of each; DataError where there are none.
 
     Args:
-        ready: the network.
+        look: matches a pair.
         paths: files of pairs, by source.
+        shares: what a pair of each source weighs.
         seed: decides which pixels are drawn.
     """
     rng, parts = np.random.default_rng(seed), []
-    calibration = ConfidenceCalibration.read(ready.about)
     for source, files in paths.items():
         for number, path in enumerate(files):
-            *drawn, weight = _draw(ready, calibration, pair_file.read(path), rng)
+            pair = pair_file.read(path)
+            *drawn, weight = _draw(look(pair), pair, rng)
             place = np.full(weight.size, number // NEIGHBOURS % PARTS), np.full(weight.size, source)
-            parts.append((*drawn, SHARES[source] * weight, *place))
+            parts.append((*drawn, shares[source] * weight, *place))
     if not parts:
         raise DataError("no pairs with truth to fit to: name samples by --street, and real data by --real")
     return UnsurePixels(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
 
 
-def _draw(
-    ready: Ready, calibration: ConfidenceCalibration, pair: StereoPair, rng: np.random.Generator
-) -> tuple[FloatMap, FloatMap, FloatMap, FloatMap]:
+def _draw(maps: Maps, pair: StereoPair, rng: np.random.Generator) -> tuple[FloatMap, FloatMap, FloatMap, FloatMap]:
     """Return a pair's clues (CLUES, n), what is offered (OFFERED, n), truth and weights (n,)."""
-    out = ready(to_tensor([pair.left]), to_tensor([pair.right]), largest_px=LARGEST_PX)
-    disparity_px, sigma_px, doubt = (as_map(map_) for map_ in (out.disparity_px, out.sigma_px, out.doubt))
-    confidence = calibration(disparity_px, sigma_px, doubt)
     truth_px = pair.disparity_px
     known = (pair.weight > SURE) & ~pair.sky & (truth_px > LEAST_PX) & (truth_px < LARGEST_PX - 1)
-    unsure = np.flatnonzero(known & (confidence < BELOW))
+    unsure = np.flatnonzero(known & (maps[3] < BELOW))
     at = np.sort(rng.permutation(unsure)[:PER_PAIR])
-    offered_px = surface_choice.offer(disparity_px, at)
-    clues = surface_choice.see(offered_px, (disparity_px, sigma_px, doubt, confidence), at)
+    offered_px = surface_choice.offer(maps[0], at)
+    clues = surface_choice.see(offered_px, maps, pair.left, at)
     each = unsure.size / max(1, at.size) / max(1, int(known.sum()))
     return clues, offered_px, truth_px.reshape(-1)[at], np.full(at.size, each, np.float32)
 

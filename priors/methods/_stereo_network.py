@@ -75,7 +75,7 @@ class NetworkMatcher:
         trust = self.calibration(seen_px, sigma_px, doubt)
         if self.choice is not None:
             apart = None if sky is None else bring_mask(sky[part], size)
-            seen_px = self.choice((seen_px, sigma_px, doubt, trust), apart)
+            seen_px = self.choice((seen_px, sigma_px, doubt, trust), seen_left, apart)
         if not halvings:
             trust = chance_in_pixels(trust, 1 / scale)
         part_px = np.maximum(seen_px, np.float32(LEAST_PX)) * np.float32(scale)

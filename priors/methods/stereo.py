@@ -64,7 +64,7 @@ class Stereo(Method):
     """How many rows the other image lies too low, px, negative where too high: it is shifted back. Default: measured on
     the drive's first pair, and left as it is below 0.75 px."""
 
-    VERSION: ClassVar[int] = 2
+    VERSION: ClassVar[int] = 3
     BEFORE: ClassVar[Mapping[str, Any]] = {"rows_px": None, "resize": "none"}
 
     def __post_init__(self) -> None:
@@ -269,7 +269,7 @@ class Stereo(Method):
         """Return disparity and the error to expect of it, px; of a network, disparity and confidence."""
         network = self.network
         if network is None:
-            return classical.estimate(left, right, max_disparity_px)
+            return classical.estimate(left, right, max_disparity_px, sky)
         from priors.methods._stereo_network import open_matcher
 
         factor = 1.0 if self._runs_graph else factor_of(left.shape[1], self.resize)

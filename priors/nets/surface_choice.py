@@ -1,14 +1,16 @@
-"""Surface choice: on which of the surfaces around it a pixel lies, where a stereo network is unsure.
+"""Surface choice: on which of the surfaces around it a pixel lies, where stereo is unsure.
 
 Beside an outline, behind glass and on thin things two surfaces match about alike, and a network says something between
 them, or the far one. Where its confidence is low, a small rule looks at the disparities around: the map itself, the
-nearest and the farthest value of windows of several sizes. It answers how much each of them counts. The result is their
-weighted mean, so that nothing comes out that the network saw nowhere near.
+nearest and the farthest value of windows of several sizes, and what is of the pixel's own colour. It answers how much
+each of the windows' values counts. The result is their weighted mean, so that nothing comes out that the network saw
+nowhere near.
 
 The rule is a dense network of two hidden layers. `priors train surfaces` fits it (priors/learn/surface_fit.py); the
-header of the weights holds it.
+header of the weights holds it. The classical method has a rule of its own (weights/classical.json).
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -16,8 +18,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from priors.codecs import as_rgb
 from priors.nets.confidence import is_hidden
-from priors.types import FloatMap, Mask
+from priors.types import FloatMap, Image, Mask
 
 ENTRY = "surfaces"
 """Its name in the header."""
@@ -32,7 +35,15 @@ BELOW = 8
 """How many rows below a pixel the rule looks too: at the ground that a thing stands on."""
 HIDDEN = (16, 16)
 """Values of the hidden layers."""
-CLUES = 6 + len(MEANS) + OFFERED - 1
+SEEN_PX = ((-8, 0), (25, 0), (0, -8), (0, 8), (0, -25), (0, 25), (-25, 0))
+"""Rows and columns from a pixel to those whose disparity the rule compares with its own."""
+GRID = 12, 3
+"""How far the neighbours lie that it compares by colour, and from one to the next, pixels."""
+ALIKE_GREY = 12.0
+"""Sum of three channels' differences that weakens a neighbour to 1/e."""
+FIRST_CLUES = 6 + len(MEANS) + OFFERED - 1
+"""What rules of before looked at: the first of the clues."""
+CLUES = FIRST_CLUES + 1 + len(SEEN_PX) + 4
 LEAST_PX, LEAST_SIGMA_PX = 1.0, 0.05
 """What a disparity and a deviation are at least, before their logarithm is taken."""
 LARGEST_LOGIT = 30.0
@@ -47,11 +58,11 @@ class SurfaceChoice:
     """A fitted rule."""
 
     layers: Layers
-    """Of a dense network, ReLU between them: CLUES values to OFFERED logits."""
+    """Of a dense network, ReLU between them: CLUES values to OFFERED logits. Rules of before take the first clues."""
 
     @classmethod
-    def read(cls, about: dict[str, Any]) -> Self | None:
-        """Take the rule from the header of weights; None where there is none."""
+    def read(cls, about: Mapping[str, Any]) -> Self | None:
+        """Take the rule from the header of weights, or the classical method's file; None where there is none."""
         held = about.get(ENTRY)
         if held is None:
             return None
@@ -61,11 +72,12 @@ class SurfaceChoice:
         """Return what the header holds."""
         return [[np.round(part, 4).tolist() for part in layer] for layer in self.layers]
 
-    def __call__(self, maps: Maps, apart: Mask | None = None) -> FloatMap:
+    def __call__(self, maps: Maps, left: Image, apart: Mask | None = None) -> FloatMap:
         """Return a left view's disparity (height, width), px, with another surface chosen where the network is unsure.
 
         Args:
             maps: what the network says, (height, width) each.
+            left: (height, width) or (height, width, 3) uint8.
             apart: (height, width), True where the disparity stays: the sky.
         """
         disparity_px, _, _, confidence = maps
@@ -73,7 +85,7 @@ class SurfaceChoice:
         if not unsure.size:
             return disparity_px
         offered_px = offer(disparity_px, unsure)
-        clues = see(offered_px, maps, unsure)
+        clues = see(offered_px, maps, left, unsure)
         chosen = disparity_px.copy()
         chosen.reshape(-1)[unsure] = self.decide(clues, offered_px)
         return chosen
@@ -82,7 +94,7 @@ class SurfaceChoice:
         """Return the mean (n,) of what is offered (OFFERED, n), px, as the rule weighs it by clues (CLUES, n)."""
         from priors.kernels.sky import dense
 
-        values = np.ascontiguousarray(clues, np.float32)
+        values = np.ascontiguousarray(clues[: len(self.layers[0][0])], np.float32)
         for number, (weight, bias) in enumerate(self.layers):
             if number:
                 np.maximum(values, 0, out=values)
@@ -110,31 +122,53 @@ def offer(disparity_px: FloatMap, at: npt.NDArray[np.intp]) -> FloatMap:
     return np.stack(found)
 
 
-def see(
-    offered_px: FloatMap, maps: tuple[FloatMap, FloatMap, FloatMap, FloatMap], at: npt.NDArray[np.intp]
-) -> FloatMap:
+def see(offered_px: FloatMap, maps: Maps, left: Image, at: npt.NDArray[np.intp]) -> FloatMap:
     """Return what the rule looks at (CLUES, n).
 
     Args:
         offered_px: (OFFERED, n) of `offer`.
         maps: what the network says, (height, width) each.
+        left: (height, width) or (height, width, 3) uint8.
         at: (n,) indices of pixels.
     """
     disparity_px, sigma_px, doubt, confidence = maps
     height, width = disparity_px.shape
     logs = np.log(np.maximum(offered_px, np.float32(LEAST_PX)))
-    below = np.minimum(at // width + BELOW, height - 1) * width + at % width
-    ground = np.log(np.maximum(disparity_px.reshape(-1)[below], np.float32(LEAST_PX)))
+    map_log = np.log(np.maximum(disparity_px, np.float32(LEAST_PX)))
+    row, column = at // width, at % width
+
+    def beside(rows: int, columns: int) -> FloatMap:
+        there = map_log[np.clip(row + rows, 0, height - 1), np.clip(column + columns, 0, width - 1)]
+        return np.asarray(there - logs[0], np.float32)
+
     trusted = [cv2.blur(confidence, (side, side)).reshape(-1)[at] for side in MEANS]
-    return np.stack(
+    return np.concatenate(
         [
-            confidence.reshape(-1)[at],
-            logs[0],
-            np.log(sigma_px.reshape(-1)[at] + np.float32(LEAST_SIGMA_PX)),
-            doubt.reshape(-1)[at],
-            *trusted,
-            is_hidden(disparity_px).reshape(-1)[at].astype(np.float32),
-            ground - logs[0],
-            *(logs[1:] - logs[0]),
+            np.stack(
+                [
+                    confidence.reshape(-1)[at],
+                    logs[0],
+                    np.log(sigma_px.reshape(-1)[at] + np.float32(LEAST_SIGMA_PX)),
+                    doubt.reshape(-1)[at],
+                    *trusted,
+                    is_hidden(disparity_px).reshape(-1)[at].astype(np.float32),
+                    beside(BELOW, 0),
+                    *(logs[1:] - logs[0]),
+                    row.astype(np.float32) / np.float32(height),
+                    *(beside(*step) for step in SEEN_PX),
+                ]
+            ),
+            look_around(map_log, confidence, left, at),
         ]
     ).astype(np.float32, copy=False)
+
+
+def look_around(map_log: FloatMap, confidence: FloatMap, left: Image, at: npt.NDArray[np.intp]) -> FloatMap:
+    """Return what the neighbours say (4, n), those of the pixel's colour and all: see kernels/surroundings.py."""
+    from priors.kernels.surroundings import gather
+
+    image, trust = np.ascontiguousarray(as_rgb(left)), np.ascontiguousarray(confidence, np.float32)
+    alike = np.exp(-np.arange(3 * 255 + 1) / ALIKE_GREY).astype(np.float32)
+    found = np.empty((4, at.size), np.float32)
+    gather(image, map_log, trust, at, GRID, alike, found)
+    return found
