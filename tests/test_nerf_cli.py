@@ -2,6 +2,7 @@
 
 import io
 import re
+import shlex
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -16,12 +17,17 @@ from nerf_commands import ALL, HELD_OUT, SIZE, nerf, prior_of, refused
 from rich.console import Console
 from safetensors.torch import load_file
 
+from cli.arguments import parse
 from cli.nerf.eval import print_tables
+from cli.nerf.fit import FitArguments
+from cli.nerf.study import StudyArguments, _command
 from eval.typeset import render
+from nerf.losses import LossConfig
 from nerf.page import lay_out
 from nerf.pictures import KEPT, picture_path
 from nerf.report import Report
 from nerf.run import open_run
+from nerf.study import NONE, RunSpec
 from priors import codecs
 from priors.drives import open_drive
 from priors.street.write import write_street
@@ -265,3 +271,15 @@ def test_the_study_s_preset_is_one_command_with_a_page(
     for flag, value in (("--views", "dense"), ("--loss", "kl"), ("--clip", 40)):
         assert f"{flag}: --preset paper says it" in refused(capsys, *grid, flag, value)
     assert "compares priors with colours alone" in refused(capsys, *grid[:2], "--preset", "paper", "--priors", "none")
+
+
+@pytest.mark.parametrize("field", ["mip360", "splat"])
+def test_the_preset_s_fields_learn_no_exposure_and_each_run_s_own_command_says_so(field: str) -> None:
+    args = StudyArguments(preset="paper", steps=7)
+    words = shlex.split(_command(args, RunSpec(field, "sparse", NONE, loss=None), Path("run")))
+    alone = parse(FitArguments, "nerf fit", "", words[2:]).config()
+    fitted = args.fit()
+    assert not fitted.model.gaussians.appearance and not alone.model.gaussians.appearance
+    assert (fitted.losses.opacity_power, fitted.align, fitted.losses.trim) == (1.0, alone.align, alone.losses.trim)
+    assert alone.losses.opacity_power == (1.0 if field == "mip360" else LossConfig().opacity_power)
+    assert StudyArguments(steps=7).fit().model.gaussians.appearance

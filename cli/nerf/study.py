@@ -20,6 +20,7 @@ from cli.nerf.sources import named_priors
 from eval import typeset
 from nerf import study_table
 from nerf.config import FitConfig
+from nerf.fields import is_trained
 from nerf.forecast import forecast
 from nerf.guide import TRUTH, TrueMaps
 from nerf.losses import LossConfig
@@ -66,7 +67,8 @@ class StudyArguments(ThreadArguments, SequenceArguments):
     views: tuple[str, ...] = ("dense", "sparse")
     """Training views: dense, sparse, shares (1/8: every 8th) or numbers."""
     preset: Literal["none", "paper"] = "none"
-    """paper: all tables and findings of the study of docs/study.md; says what it takes, goes on after a kill."""
+    """paper: all tables and findings of the study of docs/study.md, by fields that learn no frame's exposure, as its
+    fields do not; says what it takes, goes on after a kill."""
     field: tuple[FieldName, ...] = ()
     """Families of fields; default: mip360, with --preset paper the study's three."""
     clip: tuple[float, ...] = ()
@@ -125,7 +127,8 @@ class StudyArguments(ThreadArguments, SequenceArguments):
     def fit(self) -> FitConfig:
         """Return what all fits have in common."""
         timed = None if self.steps is not None else seconds(self.time)
-        return FitConfig(losses=self.losses, steps=self.steps, seconds=timed, align="none")
+        fit = FitConfig(losses=self.losses, steps=self.steps, seconds=timed, align="none")
+        return fit if self.preset == "none" else _as_the_paper(fit)
 
     def plan(self, drive: Drive, positions: Sequence[int]) -> Plan:
         """Return the study's runs on some frames of a drive."""
@@ -153,6 +156,18 @@ class StudyArguments(ThreadArguments, SequenceArguments):
 
 
 ARGUMENTS = {"nerf study": StudyArguments}
+
+
+def _as_the_paper(fit: FitConfig) -> FitConfig:
+    """Return a fit without what the study's fields do not have: colours of frames, and doubt of the opacity loss."""
+    model = replace(fit.model, gaussians=replace(fit.model.gaussians, appearance=False))
+    return replace(fit, model=model, losses=replace(fit.losses, opacity_power=1.0))
+
+
+def _words_of_the_paper(field: str) -> list[str]:
+    """Return the same as flags, of those that a family reads."""
+    words = ["--no-appearance"] if is_trained(field) else []
+    return [*words, "--opacity-power", "1"] if field in FIELDS else words
 
 
 def run(arguments: list[str]) -> int:
@@ -234,6 +249,7 @@ def _command(args: StudyArguments, spec: RunSpec, folder: Path) -> str:
     parts += ["--steps", str(args.steps)] if args.steps is not None else ["--time", args.time]
     parts += ["--frames", args.frames] if args.frames else []
     parts += ["--align", "none", "--trim", "0"]
+    parts += [] if args.preset == "none" else _words_of_the_paper(spec.field)
     if spec.prior != NONE:
         parts += ["--prior", spec.prior, *(["--loss", spec.loss] if spec.loss else [])]
         record = {name: value for name, value in asdict(spec).items() if name in SHARES}
