@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from test_nerf_fit import corridor
 from test_splat_fit import config, psnr
+from test_splat_start import with_sky
 
 from nerf import checkpoint, fields
 from nerf.config import FitConfig
@@ -126,7 +127,7 @@ def shot_at(model: SplatModel, scene: Scene, settings: FitConfig, step: int, pro
 
 @pytest.mark.usefixtures("at_once")
 def test_held_out_views_gain_by_them() -> None:
-    scene = corridor("1/8")
+    scene = with_sky(corridor("1/8"))
     with_them, without = trained(scene, 0.5), trained(scene, 0.0)
     gain = [psnr(with_them, scene, position) - psnr(without, scene, position) for position in scene.test]
     assert np.mean(gain) > 0.1
