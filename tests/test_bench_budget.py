@@ -125,7 +125,10 @@ def test_the_shipped_table_knows_every_method_of_ours_in_each_mode() -> None:
         twice = shipped.times_ms(mode, full["pixels"], {kind: 2 * ms for kind, ms in full["probes_ms"].items()})
         assert twice == pytest.approx({name: 2 * ms for name, ms in full["ms"].items()})
         middle = shipped.times_ms(mode, (full["pixels"] + half["pixels"]) // 2, full["probes_ms"])
-        assert all(half["ms"][name] < ms < full["ms"][name] for name, ms in middle.items())
+        for name, ms in middle.items():  # what is brought to one size takes as long at both
+            least, most = sorted((half["ms"][name], full["ms"][name]))
+            assert least <= ms <= most, (mode, name)
+        assert middle["stereo"] > half["ms"]["stereo"]
     assert set(shipped.errors()) == names
 
 
