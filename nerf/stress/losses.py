@@ -100,7 +100,8 @@ def _parts(kind: Kind, rays: Packed, batch: Rays, at: Mapping[str, Floats]) -> d
         "urf": lambda: off**2 + twin.sight(rays.wide, made.weights, target),
     }[kind]()
     weight = torch.where(depth_m > 0, batch.weight.double(), 0.0)
-    stops = weight * (rays.samples.offsets[1:] > rays.samples.offsets[:-1])
+    has_samples = rays.samples.offsets[1:] > rays.samples.offsets[:-1]
+    stops = torch.where(weight > 0, weight**config.opacity_power, 0.0) * has_samples
     return {
         "rgb": (made.rgb - batch.rgb.double()).square().mean(1) / rays.rays,
         "depth": weight * each / weight.sum().clamp(min=1e-12),
