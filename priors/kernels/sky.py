@@ -1,15 +1,13 @@
-"""Sky mask: its loops. Block means of the image, dense layers, refinement at full resolution."""
+"""Sky mask: its loops. Block means of the image, refinement at full resolution."""
 
 import numpy as np
 import numpy.typing as npt
 
 from priors.machine import threads
 from priors.machine.compiled import FAST, compiled
-from priors.types import FloatMap, Image, Mask
+from priors.types import Image, Mask
 
 Floats = npt.NDArray[np.float32]
-STRETCH = 512
-"""Values that a dense layer takes at a time: its line stays in the fastest cache."""
 
 
 def shrink(image: Image, factor: int) -> Floats:
@@ -79,36 +77,6 @@ def _fit_linear(moments: Floats, smoothing: float, model: Floats, first: int, la
             a2 = (c2 * rt + (rg * rb - rr * gb) * gt + (rr * gg - rg * rg) * bt) * scale
             model[i, j, 0], model[i, j, 1], model[i, j, 2] = a0, a1, a2
             model[i, j, 3] = t - a0 * r - a1 * g - a2 * b
-
-
-def dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap) -> None:
-    """Write a dense layer's answer weights.T @ values + bias (outputs, n) for values (inputs, n).
-
-    A matrix library does this no faster, and its threads would spin on for longer than the rest of the mask takes.
-    """
-    each_ns = 0.1 * weights.size
-    block = -(-threads.worth(each_ns) // STRETCH) * STRETCH
-    threads.over(values.shape[1], lambda first, last: _dense(values, weights, bias, out, first, last), block)
-
-
-@compiled(fastmath=FAST, error_model="numpy")
-def _dense(values: FloatMap, weights: FloatMap, bias: FloatMap, out: FloatMap, first: int, last: int) -> None:
-    fours = weights.shape[0] // 4 * 4
-    for start in range(first, last, STRETCH):
-        end = min(last, start + STRETCH)
-        for j in range(weights.shape[1]):
-            line = out[j, start:end]
-            line[:] = bias[j]
-            for i in range(0, fours, 4):  # four at a time: the line is read and written a quarter as often
-                a, b, c, d = weights[i, j], weights[i + 1, j], weights[i + 2, j], weights[i + 3, j]
-                one, two = values[i, start:end], values[i + 1, start:end]
-                three, four = values[i + 2, start:end], values[i + 3, start:end]
-                for n in range(end - start):
-                    line[n] += a * one[n] + b * two[n] + c * three[n] + d * four[n]
-            for i in range(fours, weights.shape[0]):
-                a, one = weights[i, j], values[i, start:end]
-                for n in range(end - start):
-                    line[n] += a * one[n]
 
 
 def apply_linear(image: Image, model: Floats, factor: int) -> Mask:

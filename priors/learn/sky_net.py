@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from priors.nets.blocks import conv_of
-from priors.nets.mobile import FIRST, STAGES, Inverted, imagenet_file, layer
+from priors.nets.mobile import FIRST, STAGES, Inverted, blocks_of, imagenet_file, layer
 from priors.nets.weights import under
 
 ENCODED = STAGES[:4]
@@ -31,11 +31,7 @@ class SkyNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.stem = layer(3, FIRST, 3, 2)
-        blocks, wide = [], FIRST
-        for kernel, stride, expansion, outputs, count in ENCODED:
-            for number in range(count):
-                blocks.append(Inverted(wide, outputs, kernel, stride if number == 0 else 1, expansion))
-                wide = outputs
+        blocks = blocks_of(ENCODED)
         self.blocks = nn.ModuleList(blocks)
         self.side = nn.ModuleList(layer(blocks[at].outputs, to, 1) for at, to in zip(TAPPED, SIDE, strict=True))
         self.whole = nn.Linear(SIDE[-1], SIDE[-1])

@@ -5,6 +5,7 @@ some thousand images of streets nothing like them can be learned. Architecture: 
 excitation and with ReLU6, as the Lite models have it.
 """
 
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -33,11 +34,7 @@ class Mobile(Pyramid):
     def __init__(self, channels: tuple[int, int, int, int] = SIZES["s"], inputs: int = 3) -> None:
         super().__init__(channels)
         self.stem = layer(inputs, FIRST, 3, 2)
-        blocks, wide = [], FIRST
-        for kernel, stride, expansion, outputs, count in STAGES:
-            for number in range(count):
-                blocks.append(Inverted(wide, outputs, kernel, stride if number == 0 else 1, expansion))
-                wide = outputs
+        blocks = blocks_of(STAGES)
         self.blocks = nn.ModuleList(blocks)
         self.side = nn.ModuleList(
             conv(blocks[last].outputs, inside, 1) for last, inside in zip(TAPPED, channels, strict=True)
@@ -70,6 +67,16 @@ class Mobile(Pyramid):
                 if not isinstance(block, Inverted):
                     raise TypeError(f"{block}: expected an inverted residual block")
                 block.take(weights.under(theirs, f"_blocks.{number}."))
+
+
+def blocks_of(stages: Sequence[tuple[int, int, int, int, int]]) -> list["Inverted"]:
+    """Make the blocks that follow the stem: kernel, stride, expansion, channels and blocks of each stage."""
+    blocks, wide = [], FIRST
+    for kernel, stride, expansion, outputs, count in stages:
+        for number in range(count):
+            blocks.append(Inverted(wide, outputs, kernel, stride if number == 0 else 1, expansion))
+            wide = outputs
+    return blocks
 
 
 class Inverted(nn.Module):

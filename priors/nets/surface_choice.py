@@ -92,7 +92,7 @@ class SurfaceChoice:
 
     def decide(self, clues: FloatMap, offered_px: FloatMap) -> FloatMap:
         """Return the mean (n,) of what is offered (OFFERED, n), px, as the rule weighs it by clues (CLUES, n)."""
-        from priors.kernels.sky import dense
+        from priors.kernels.dense import dense
 
         values = np.ascontiguousarray(clues[: len(self.layers[0][0])], np.float32)
         for number, (weight, bias) in enumerate(self.layers):
