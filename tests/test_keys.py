@@ -51,10 +51,10 @@ KNOWN = {
 }
 PINNED = {
     "completion": "23d2839707",
-    "fused": "df8a7ad72c",
+    "fused": "f548d09bee",
     "lidar": "a2ee52f3e3",
     "mono": "a7fe1a999a",
-    "stereo": "8fc3f0408e",
+    "stereo": "7e24bcee07",
 }
 
 
