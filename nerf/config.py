@@ -65,6 +65,8 @@ class FitConfig:
         expect_choices(self, "")
         expect_between(1, self.rays, MOST_RAYS, "--rays")
         expect_between(1, self.steps, MOST_STEPS, "--steps")
+        single = self.losses.loss in ("kl", "urf") and self.model.gaussians.rasteriser == "gsplat"
+        expect(not single, "--loss", self.losses.loss, "mse, l1 or none with --rasteriser gsplat")
         timed = self.seconds is not None and 0 < self.seconds < math.inf
         expect(timed or (self.seconds is None and self.steps is not None), "--time", self.seconds, "more than 0")
         expect_between(0, self.seed, LARGEST_SEED, "--seed")
