@@ -91,6 +91,39 @@ def test_a_prior_helps_where_views_are_few(tmp_path: Path) -> None:
     assert with_[1] < 0.5 * without[1]
 
 
+@pytest.mark.parametrize(
+    ("family", "prior", "growth", "grown"),
+    [
+        ("ngp", True, None, [64, 92, 128, 180]),
+        ("nerfpp", True, None, [64, 92, 128, 180]),
+        ("ngp", False, None, [64] * 4),
+        ("mip360", True, None, [64] * 4),
+        ("mip360", False, 16.0, [64, 128, 256, 512]),
+        ("ngp", True, 1.0, [64] * 4),
+    ],
+)
+def test_batches_grow_as_the_family_or_the_user_has_it(
+    tmp_path: Path, family: str, prior: bool, growth: float | None, grown: list[int]
+) -> None:
+    seen: list[Status] = []
+    fit(corridor(prior=prior), replace(config(4, family), rays=64, rays_growth=growth), tmp_path, seen.append)
+    assert [status.rays for status in seen] == grown
+
+
+@pytest.mark.parametrize("guessed", [True, False])
+def test_doubtful_values_count_by_precision_where_they_are_guesses(tmp_path: Path, guessed: bool) -> None:
+    """The same bits as where the user says it, and other ones than the other way."""
+    scene = corridor()
+    trust = np.random.default_rng(0).integers(0, 255, scene.images.shape[:3]).astype(np.uint8)
+    scene = replace(scene, weight=trust, guessed=guessed)
+    ways = {
+        weigh: fit(scene, config(3, weigh=weigh), tmp_path / weigh) for weigh in ("auto", "precision", "confidence")
+    }
+    table = {weigh: model.parameters()["field.grid"] for weigh, model in ways.items()}
+    assert torch.equal(table["auto"], table["precision"]) == guessed
+    assert torch.equal(table["auto"], table["confidence"]) != guessed
+
+
 @pytest.mark.parametrize("family", TRAINED)
 def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, family: str) -> None:
     scene = corridor("sparse")
