@@ -336,7 +336,5 @@ def _chunk_back(net, back, work, total, d_outputs, outputs, start, groups, d_fea
     _geometry_back(net, back, work, d_sigma, sigma, coloured, start, groups)
     _accumulate(work.last, np.int64(1), np.int64(16), work.first, depth, groups, work.left, work.right, total.density1)
     _returned(back.density1, net.tiles, np.int64(8), work.last, work.first, work.d_one, groups, work.sums)
-    _accumulate(
-        work.d_one, net.tiles, np.int64(16), work.x, np.int64(1), groups, work.left, work.right, total.density0
-    )
+    _accumulate(work.d_one, net.tiles, np.int64(16), work.x, np.int64(1), groups, work.left, work.right, total.density0)
     _features_back(net, back, work, start, groups, d_features)
