@@ -148,13 +148,14 @@ def _inputs(features: Tensor, harmonics: Tensor | None, ray: Tensor | None) -> A
 def _net(layers: Layers, across: bool = False) -> Any:
     """Round the layers and cut them, or where `across` their transposes, into tiles as the products take them."""
     from nerf.kernels.cpu import layers as kernel
+    from nerf.kernels.cpu.products import OPERAND
 
-    tiled = []
+    tiled: list[Any] = []
     for layer in layers:
         steps, shape = (layer.shape[1], 1), tuple(layer.shape)
         if across:
             steps, shape = steps[::-1], shape[::-1]
-        tiles = np.empty(math.prod(kernel.padded(*shape)) // (2 if kernel.PAIRED else 1), kernel.OPERAND)
+        tiles = np.empty(math.prod(kernel.padded(*shape)) // (2 if kernel.PAIRED else 1), OPERAND)
         kernel.cut(layer.view(-1).numpy().view(np.int32), *shape, *steps, tiles.view(np.int32))
         tiled.append(tiles)
     return kernel.Net(layers.colour1.shape[0] // 16, *tiled)
