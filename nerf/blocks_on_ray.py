@@ -15,7 +15,7 @@ from typing import Any, TypeAlias
 
 import torch
 
-from nerf import checkpoint, journal
+from nerf import checkpoint, fields, journal
 from nerf.asked import RunConfig
 from nerf.blocks import load, part
 from nerf.fit import OnStep, Status, cut_blocks, fit
@@ -122,7 +122,10 @@ class Watch:
         """Tell of a block's lines as its own process would."""
         last, before = lines[-1], lines[-2] if len(lines) > 1 else {"step": 0, "seconds": 0.0}
         step_s = (last["seconds"] - before["seconds"]) / max(last["step"] - before["step"], 1)
-        elapsed_s, rays = time.perf_counter() - self.began_s, self.run.config.fit.rays
+        fit = self.run.config.fit
+        growth = 1.0 if self.run.config.prior is None else fields.rays_growth(fit.model.family)
+        rays = fit.rays_at(self._progress(last), growth)
+        elapsed_s = time.perf_counter() - self.began_s
         terms, loss = {"rgb": torch.tensor(last["rgb"])}, torch.tensor(last["loss"])
         self.on_step(Status(last["step"], elapsed_s, share, terms, loss, rays, last["samples"], step_s))
 

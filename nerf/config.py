@@ -13,6 +13,7 @@ from nerf.sample import SamplerConfig
 from priors.errors import LARGEST_SEED, expect, expect_between, expect_choices
 
 MOST_RAYS, MOST_STEPS, MOST_CELLS = 1 << 20, 10**9, 1 << 20
+MOST_GROWTH = 64
 Align: TypeAlias = Literal["auto", "learn", "none"]
 """What is done to a prior before a fit."""
 
@@ -46,7 +47,10 @@ class FitConfig:
     losses: LossConfig = field(default_factory=LossConfig)
     optimiser: OptimiserConfig = field(default_factory=OptimiserConfig)
     rays: int = 1024
-    """Rays in a step."""
+    """Rays in a step when the fit begins."""
+    rays_growth: float | None = None
+    """How many times as many there are when it ends; they grow evenly in the logarithm. 1: always as many; None: as the
+    family has it where there is a prior (ngp and nerfpp 4, others 1), else 1."""
     steps: int | None = None
     """Stop after so many steps: the same seed gives the same bits on a CPU, however often the run was resumed."""
     seconds: float | None = 60.0
@@ -59,11 +63,13 @@ class FitConfig:
     blocks_m: float | None = None
     """Cut the path into blocks of about this length, metres, a field each, with this budget each; None: one field."""
 
-    BEFORE: ClassVar[Mapping[str, Any]] = {"align": "none"}
+    BEFORE: ClassVar[Mapping[str, Any]] = {"align": "none", "rays_growth": 1.0}
 
     def __post_init__(self) -> None:
         expect_choices(self, "")
         expect_between(1, self.rays, MOST_RAYS, "--rays")
+        if self.rays_growth is not None:
+            expect(1 <= self.rays_growth <= MOST_GROWTH, "--rays-growth", self.rays_growth, f"1 to {MOST_GROWTH}")
         expect_between(1, self.steps, MOST_STEPS, "--steps")
         timed = self.seconds is not None and 0 < self.seconds < math.inf
         expect(timed or (self.seconds is None and self.steps is not None), "--time", self.seconds, "more than 0")
@@ -75,3 +81,11 @@ class FitConfig:
         if self.steps is not None:
             return min(1.0, step / self.steps)
         return min(1.0, elapsed_s / self.seconds) if self.seconds else 1.0
+
+    def rays_at(self, progress: float, usual_growth: float) -> int:
+        """Return the rays in a step at a moment of the fit, progress [0, 1]; `usual_growth`: the family's.
+
+        The growth goes in sixteenths: N processes of r rays have together what one of N r has.
+        """
+        growth = usual_growth if self.rays_growth is None else self.rays_growth
+        return min(MOST_RAYS, self.rays * round(16 * growth**progress) // 16)

@@ -94,6 +94,9 @@ class Family(Protocol):
     `unread`, where a family has it, names the settings of a fit that do nothing in it, dotted: "model.width", or all of
     "model.sampler". `nerf fit` refuses their flags.
 
+    `rays_growth`, where a family has it, is how many times as many rays a step with a prior has when a fit ends as
+    when it begins, where nobody says. Its models ask `config.rays_at`.
+
     A family whose models learn nothing says so: `trained = False`. Its models have no parameters, a fit makes them at
     once, and a study makes them once a prior, whatever the losses and seeds are.
     """

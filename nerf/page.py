@@ -135,7 +135,7 @@ def _key_figure(column: Column, before: float, after: float, note: str) -> KeyFi
 def _task(run: Run) -> tuple[object, ...]:
     """Return what must be equal for two runs to be compared by their prior alone."""
     fit = run.config.fit
-    return run.config.views, run.config.frames, fit.model, fit.steps, fit.seconds, fit.rays
+    return run.config.views, run.config.frames, fit.model, fit.steps, fit.seconds, fit.rays, fit.rays_growth
 
 
 def videos(scored: FieldScores) -> list[Clip | Paragraph]:

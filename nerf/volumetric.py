@@ -63,6 +63,9 @@ class VolumetricFamily:
     """Ask the grid for a sample's extent, not for a point: levels finer than a pixel's cone fade."""
     distortion: float = 1.0
     """How much more the distortion loss weighs than usual."""
+    rays_growth: float = 1.0
+    """How many times as many rays a step has when a fit ends as when it begins, where nobody says and there is a prior.
+    Colours alone lose by it: their rays cost more, so that fewer steps are left."""
 
     unread: ClassVar[tuple[str, ...]] = tuple(
         f"model.gaussians.{setting.name}" for setting in fields(GaussianConfig) if setting.name != "appearance"
@@ -135,8 +138,9 @@ class VolumetricModel:
         """Do a step of training; see nerf.model.Model."""
         key = config.seed, step
         world = here()
-        drawn = scene.pixels(config.rays * world.size, *key)
-        pixels, share = Pixels(*(each[world.part(config.rays)] for each in drawn)), None
+        count = config.rays_at(progress, 1.0 if scene.depth_m is None else self.family.rays_growth)
+        drawn = scene.pixels(count * world.size, *key)
+        pixels, share = Pixels(*(each[world.part(count)] for each in drawn)), None
         if self.converged is not None:
             pixels, share = self.converged.spin(pixels, self.config.sampler.roulette_rays, key)
         rays = replace(scene.rays(*pixels), share=share).to(self.device)

@@ -5,8 +5,9 @@
    what they look like, not by their colour alone.
 3. Thin things before the sky (poles, wires, branches) are too small for it: what has not the colour of the sky
    around it, but that of what is no sky, is doubted.
-4. At full resolution a guided filter (He, Sun, "Fast Guided Filter", 2015) fits the answer to colour edges, so that
-   the mask ends where things do.
+4. At full resolution guided filters (He, Sun, "Fast Guided Filter", 2015) fit the answer to colours: in a wide window,
+   so that sky between branches and at dusk is known by the sky around, and in a narrow one, so that the mask ends
+   where things do.
 
 The weights lie in weights/sky.npz; `python -m priors.learn.fit_sky` trained them, weights/sky.md says on what.
 """
@@ -14,7 +15,7 @@ The weights lie in weights/sky.npz; `python -m priors.learn.fit_sky` trained the
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import TypeAlias
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -23,7 +24,10 @@ import numpy.typing as npt
 from priors.codecs import as_rgb
 from priors.types import Depth, FloatMap, Image, Mask
 
-VERSION = 2
+if TYPE_CHECKING:
+    from priors.kernels.sky_net import Layers
+
+VERSION = 3
 """Goes into the cache's key of maps that were cropped by the mask: raise it when the mask changes."""
 MOST_PIXELS = 60_000
 """Most pixels that the network sees."""
@@ -37,13 +41,13 @@ COLOUR_DEVIATION, USUAL_DISTANCE = 0.1, 0.2
 """Deviation of a surface's colour, and what distance to another one is taken for usual where there is none around."""
 MOST_DOUBT, LEAST_SHARE = 6, 0.05
 """Largest doubt, a logit; share of a window below which the colour of its sky, or of its rest, counts less."""
+GUIDES = ((5, 1 / 3), (31, 2 / 3))
+"""Sides of the guided filters' windows, blocks, and their shares of the answer."""
 WEIGHTS = Path(__file__).parent / "weights" / "sky.npz"
 SATURATED = np.float32(12)
 """Largest logit beyond which more makes no difference."""
 
 Floats = npt.NDArray[np.float32]
-Layers: TypeAlias = "dict[str, tuple[Floats, Floats]]"
-"""Weights (inputs, outputs), or (channels, kernel, kernel) of a depthwise layer, and bias, by the layer's name."""
 
 
 def sky_mask(image: Image) -> Mask:
@@ -58,7 +62,7 @@ def sky_mask(image: Image) -> Mask:
     return find_sky(image, load_weights())
 
 
-def find_sky(image: Image, layers: Layers) -> Mask:
+def find_sky(image: Image, layers: "Layers") -> Mask:
     """Tell by given weights which pixels (height, width) of an image are sky."""
     from priors.kernels import sky as kernels
     from priors.kernels.sky_net import forward
@@ -111,18 +115,18 @@ def brighten(colour: Floats) -> Floats:
 
 
 @cache
-def load_weights() -> Layers:
+def load_weights() -> "Layers":
     """Load the network's layers."""
     return read_weights(WEIGHTS)
 
 
-def read_weights(path: Path) -> Layers:
+def read_weights(path: Path) -> "Layers":
     """Read layers: arrays name.w and name.b, float16 in the file."""
     with np.load(path) as file:
         return pair_layers({name: np.ascontiguousarray(file[name], np.float32) for name in file.files})
 
 
-def pair_layers(arrays: dict[str, Floats]) -> Layers:
+def pair_layers(arrays: dict[str, Floats]) -> "Layers":
     """Pair each name.w with its name.b."""
     return {name[:-2]: (arrays[name], arrays[f"{name[:-2]}.b"]) for name in arrays if name.endswith(".w")}
 
@@ -155,14 +159,21 @@ def distance_to(colour: Floats, weight: FloatMap) -> FloatMap:
     return trust * (red * red + green * green + blue * blue) + (1 - trust) * np.float32(USUAL_DISTANCE**2)
 
 
-def guided_model(colour: Floats, target: FloatMap, side: int = 5, smoothing: float = 1e-3) -> Floats:
-    """Fit target = a . colour + b around each block, then average the fits: (height, width, 4), a then b."""
+def guided_model(colour: Floats, target: FloatMap, smoothing: float = 1e-3) -> Floats:
+    """Fit target = a . colour + b around each block, average the fits, then those of GUIDES' windows.
+
+    Returns (height, width, 4), a then b.
+    """
     from priors.kernels.sky import fit_linear
 
     red, green, blue = colour[..., 0], colour[..., 1], colour[..., 2]
     squares = red * red, red * green, red * blue, green * green, green * blue, blue * blue
     moments = red, green, blue, target, *squares, red * target, green * target, blue * target
-    return blur(fit_linear(np.stack([blur(moment, side) for moment in moments]), smoothing), side)
+    model = np.zeros((*target.shape, 4), np.float32)
+    for side, share in GUIDES:
+        means = np.stack([blur(moment, side) for moment in moments])
+        model += np.float32(share) * blur(fit_linear(means, smoothing), side)
+    return model
 
 
 def blur(values: Floats, side: int) -> Floats:

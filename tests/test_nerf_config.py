@@ -39,6 +39,7 @@ WRONG: list[tuple[type[Any], str, list[Any]]] = [
     (ModelConfig, "log2_size", [3, 25]),
     (ModelConfig, "finest", [8, 1 << 21]),
     (FitConfig, "rays", [0, -1]),
+    (FitConfig, "rays_growth", [0.5, -1.0, 65.0, math.nan, math.inf]),
     (FitConfig, "steps", [0, -1]),
     (FitConfig, "seconds", [0.0, -1.0, math.nan, math.inf, None]),
     (FitConfig, "seed", [-1, 1 << 63]),
@@ -66,6 +67,7 @@ def test_a_wrong_setting_is_told_with_what_was_expected(kind: type[Any], name: s
     [
         ["--width", "50"],
         ["--rays", "0"],
+        ["--rays-growth", "0.5"],
         ["--reach", "-3"],
         ["--unguided", "7"],
         ["--sigma-floor-m", "-1"],

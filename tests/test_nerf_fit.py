@@ -91,6 +91,25 @@ def test_a_prior_helps_where_views_are_few(tmp_path: Path) -> None:
     assert with_[1] < 0.5 * without[1]
 
 
+@pytest.mark.parametrize(
+    ("family", "prior", "growth", "grown"),
+    [
+        ("ngp", True, None, [64, 92, 128, 180]),
+        ("nerfpp", True, None, [64, 92, 128, 180]),
+        ("ngp", False, None, [64] * 4),
+        ("mip360", True, None, [64] * 4),
+        ("mip360", False, 16.0, [64, 128, 256, 512]),
+        ("ngp", True, 1.0, [64] * 4),
+    ],
+)
+def test_batches_grow_as_the_family_or_the_user_has_it(
+    tmp_path: Path, family: str, prior: bool, growth: float | None, grown: list[int]
+) -> None:
+    seen: list[Status] = []
+    fit(corridor(prior=prior), replace(config(4, family), rays=64, rays_growth=growth), tmp_path, seen.append)
+    assert [status.rays for status in seen] == grown
+
+
 @pytest.mark.parametrize("family", TRAINED)
 def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, family: str) -> None:
     scene = corridor("sparse")

@@ -162,6 +162,19 @@ def test_guided_model_repeats_a_target_that_is_linear_in_colour() -> None:
     np.testing.assert_array_equal(kernels.apply_linear(image, model, 1)[clear], (expected > 0.5)[clear])
 
 
+def test_what_has_the_colours_of_the_sky_around_is_sky_though_the_network_doubts_it() -> None:
+    rng = np.random.default_rng(0)
+    colour = rng.uniform(0.1, 0.3, (40, 60, 3)).astype(np.float32)
+    colour[:20] = np.array([0.6, 0.7, 0.9], np.float32) + rng.normal(size=(20, 60, 3)).astype(np.float32) * 0.01
+    target = np.zeros((40, 60), np.float32)
+    target[:20] = 1
+    target[6:14, 20:29] = 0.25
+    model = sky.guided_model(colour, target)
+    found = (model[..., :3] * colour).sum(axis=2) + model[..., 3] > 0.5
+    np.testing.assert_array_equal(found[:20], True)
+    np.testing.assert_array_equal(found[20:], False)
+
+
 def test_model_is_interpolated_between_block_centres() -> None:
     model = np.zeros((1, 2, 4), np.float32)
     model[0, 1, 3] = 1  # 0 at the left block's centre, 1 at the right one's

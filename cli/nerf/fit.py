@@ -74,7 +74,10 @@ class FitArguments(ThreadArguments, SequenceArguments):
     steps: int | None = None
     """Train so many steps instead: the same seed gives the same bits on a CPU."""
     rays: int = 1024
-    """Rays in a step."""
+    """Rays in a step when the fit begins."""
+    rays_growth: float | None = None
+    """How many times as many rays a step has when the fit ends; 1: always as many. Default: ngp and nerfpp with a
+    prior 4, else 1."""
     seed: int = 0
     """Decides weights, rays and sample positions."""
     align: Align = "auto"
@@ -115,7 +118,7 @@ class FitArguments(ThreadArguments, SequenceArguments):
         named = BEST if self.field == AUTO else self.field
         model = ModelConfig(family or named, width=self.width, sampler=self.sampler, gaussians=self.gaussians)
         made = FitConfig(model, self.losses, rays=self.rays, steps=self.steps, seconds=timed, seed=self.seed)
-        return replace(made, align=self.align, blocks_m=self.blocks)
+        return replace(made, align=self.align, blocks_m=self.blocks, rays_growth=self.rays_growth)
 
 
 ARGUMENTS = {"nerf fit": FitArguments}

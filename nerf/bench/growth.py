@@ -105,7 +105,11 @@ def sweep(
 
 
 def points(axis: Axis, spec: RunSpec, fit: FitConfig) -> list[tuple[float, RunSpec, FitConfig]]:
-    """List the points of a kind of fit: the work (of frames, 0: the run tells it), and the run with so much of it."""
+    """List the points of a kind of fit: the work (of frames, 0: the run tells it), and the run with so much of it.
+
+    All steps of a run have as many rays.
+    """
+    fit = replace(fit, rays_growth=1.0)
     if axis == "rays":
         return [(n, spec, replace(fit, rays=n)) for n in RAYS]
     if axis == "frames":

@@ -53,6 +53,11 @@ def shares(name: str) -> bool:
     return bool(getattr(family(name), "shares", False))
 
 
+def rays_growth(name: str) -> float:
+    """Return how many times as many rays a family's step with a prior has when a fit ends, where nobody says."""
+    return float(getattr(family(name), "rays_growth", 1.0))
+
+
 def unread(config: FitConfig) -> dict[str, Any]:
     """Return the flags of settings that are not the usual ones and that the config's family does not read."""
     names = getattr(family(config.model.family), "unread", ())

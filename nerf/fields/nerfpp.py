@@ -6,4 +6,4 @@ One ray's samples run through both, near to far, so that one compositing does it
 
 from nerf.volumetric import VolumetricFamily
 
-FAMILY = VolumetricFamily(space="spheres")
+FAMILY = VolumetricFamily(space="spheres", rays_growth=4.0)

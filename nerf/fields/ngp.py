@@ -5,4 +5,4 @@ What lies outside of the box is contracted into a shell around it.
 
 from nerf.volumetric import VolumetricFamily
 
-FAMILY = VolumetricFamily(space="cube")
+FAMILY = VolumetricFamily(space="cube", rays_growth=4.0)

@@ -22,7 +22,7 @@ def _field() -> Family:
 class SplatFamily:
     """A nerf.model.Family."""
 
-    unread = ("model.width", "model.sampler", "losses.distortion", "losses.opacity_power")
+    unread = ("model.width", "model.sampler", "losses.distortion", "losses.opacity_power", "rays_growth")
 
     def start(self, scene: Scene, config: FitConfig, device: str) -> Model:
         """Make a model of a scene from its prior; without one, a hash field that finds the surfaces first."""

@@ -21,7 +21,7 @@ from priors.types import Camera, Matrix
 class WarpFamily:
     """A nerf.model.Family."""
 
-    unread = ("model.width", "model.sampler", "model.gaussians", "losses", "rays")
+    unread = ("model.width", "model.sampler", "model.gaussians", "losses", "rays", "rays_growth")
     trained = False
     """Its models learn nothing: they are as good as their frames and prior at once."""
 

@@ -24,6 +24,7 @@ from eval.files import write_bytes
 from priors import sky
 from priors.adapt.training_step import Batch
 from priors.errors import DataError
+from priors.kernels.sky_net import Layers, forward
 from priors.learn import checkpoint
 from priors.learn.config import TrainConfig
 from priors.learn.loop import TrainProgress, train
@@ -85,9 +86,8 @@ def read_labelled(data: Path, streets: Iterable[Path]) -> list[SkySample]:
     return samples + [sample for street in streets for sample in read_street(street)]
 
 
-def average(runs: Sequence[sky.Layers]) -> Labeller:
+def average(runs: Sequence[Layers]) -> Labeller:
     """Return a labeller whose logits are the mean of networks'."""
-    from priors.kernels.sky_net import forward
 
     def see(image: Image) -> FloatMap:
         colour = sky.shrink_to_see(image)
@@ -97,20 +97,20 @@ def average(runs: Sequence[sky.Layers]) -> Labeller:
     return see
 
 
-def read_run(run: Path) -> sky.Layers:
+def read_run(run: Path) -> Layers:
     """Return the layers of a run's best network."""
     net = SkyNet()
     net.load_state_dict(load(run / checkpoint.BEST).tensors)
     return as_layers(fold(net.eval()))
 
 
-def as_layers(arrays: dict[str, Floats]) -> sky.Layers:
+def as_layers(arrays: dict[str, Floats]) -> Layers:
     """Pair weights and biases, rounded as the file of weights rounds them."""
     rounded = {name: np.ascontiguousarray(array.astype(np.float16), np.float32) for name, array in arrays.items()}
     return sky.pair_layers(rounded)
 
 
-def write(path: Path, layers: sky.Layers) -> None:
+def write(path: Path, layers: Layers) -> None:
     """Write layers as the mask reads them, float16."""
     arrays: dict[str, Any] = {}
     for name, (weights, bias) in layers.items():

@@ -66,7 +66,7 @@ ROWS = [
     Row("skips off", sampler=SKIPS_OFF),
     Row("--count 32", sampler={"count": 32}),
     Row("--no-appearance", gaussians={"appearance": False}),
-    *(Row(f"--rays {rays}", fit={"rays": rays}) for rays in (1024, 2048, 4096)),
+    *(Row(f"--rays {rays}", fit={"rays": rays, "rays_growth": 1.0}) for rays in (1024, 2048, 4096)),
 ]
 
 

@@ -41,7 +41,7 @@ def street(folder: Path) -> Scene:
 def config(family: str, way: str) -> FitConfig:
     """Return a fit with the skips of a way."""
     losses = LossConfig() if way == "on" else LossConfig(sky_opacity=0.0)
-    return FitConfig(ModelConfig(family, sampler=WAYS[way]), losses, steps=STEPS, seconds=None)
+    return FitConfig(ModelConfig(family, sampler=WAYS[way]), losses, steps=STEPS, seconds=None, rays_growth=1.0)
 
 
 def main() -> None:

@@ -85,7 +85,7 @@ def _shorter(asked: Asked, scale: float, rehearsal: bool) -> Asked:
 def _one(scene: Scene, asked: Asked, run: Path, options: Namespace) -> None:
     """Make one fit and note what it scores."""
     model, losses = ModelConfig("ngp"), LossConfig(loss="mse")
-    config = FitConfig(model, losses, rays=asked.rays, steps=asked.steps, seconds=asked.seconds)
+    config = FitConfig(model, losses, rays=asked.rays, rays_growth=1.0, steps=asked.steps, seconds=asked.seconds)
     last: list[Status] = []
 
     def keep(status: Status) -> None:
