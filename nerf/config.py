@@ -71,6 +71,8 @@ class FitConfig:
         if self.rays_growth is not None:
             expect(1 <= self.rays_growth <= MOST_GROWTH, "--rays-growth", self.rays_growth, f"1 to {MOST_GROWTH}")
         expect_between(1, self.steps, MOST_STEPS, "--steps")
+        single = self.losses.loss in ("kl", "urf") and self.model.gaussians.rasteriser == "gsplat"
+        expect(not single, "--loss", self.losses.loss, "mse, l1 or none with --rasteriser gsplat")
         timed = self.seconds is not None and 0 < self.seconds < math.inf
         expect(timed or (self.seconds is None and self.steps is not None), "--time", self.seconds, "more than 0")
         expect_between(0, self.seed, LARGEST_SEED, "--seed")

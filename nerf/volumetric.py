@@ -145,7 +145,8 @@ class VolumetricModel:
             pixels, share = self.converged.spin(pixels, self.config.sampler.roulette_rays, key)
         rays = replace(scene.rays(*pixels), share=share).to(self.device)
         which = None if self.appearance is None else numbers(scene, pixels.frame).to(self.device)
-        rules = replace(config.losses, distortion=config.losses.distortion * self.family.distortion)
+        rules = config.losses.of(scene.guessed)
+        rules = replace(rules, distortion=rules.distortion * self.family.distortion)
         aligned = rays
         if self.alignment is not None:
             frame = torch.from_numpy(pixels.frame).to(self.device)

@@ -12,13 +12,17 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from test_nerf_fit import corridor
+from test_splat_fit import config
 from torch import Tensor
 
+from nerf import fields
 from nerf.gaussians.types import Drawing, Gaussians, ViewGradients, Viewpoint
 from nerf.kernels import gsplat as theirs
 from nerf.kernels.plain import splat as plain
+from nerf.losses import LossConfig
 from nerf.twin import splat as twin
-from priors.errors import DataError
+from priors.errors import DataError, UsageError
 from priors.types import Camera
 from tests.splats import SMOOTH, cloud, viewpoint
 from tests.test_splat_raster import near, same_gradients, wanted
@@ -104,3 +108,36 @@ def test_without_the_package_one_line_says_so() -> None:
         pytest.skip("gsplat is installed")
     with pytest.raises(DataError, match="pip install gsplat"):
         theirs.rasterise(cloud(5), viewpoint(), Drawing())
+
+
+def test_a_fit_learns_from_what_it_draws(package: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a CPU, where the stand-in draws: a step moves the Gaussians as ours does."""
+    monkeypatch.setattr(theirs, "expect_usable", lambda device: None)
+    scene = corridor("4")
+    moved = []
+    for rasteriser in ("ours", "gsplat"):
+        settings = config(1, start_step=24, rasteriser=rasteriser)
+        model = fields.family("splat").start(scene, settings, "cpu")
+        before = model.parameters()["gaussians.opacities"].clone()
+        model.train(scene, settings, 0, 0.0)
+        moved.append(model.parameters()["gaussians.opacities"] - before)
+    assert moved[0].abs().max() > 1e-3
+    assert ((moved[0] - moved[1]).abs() < 0.1 * moved[0].abs().max()).float().mean() > 0.9
+
+
+def test_a_fit_by_it_is_refused_without_the_package_or_a_gpu(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, settings = corridor("4"), config(1, rasteriser="gsplat")
+    for there, told in (
+        (False, "--rasteriser gsplat: gsplat is not installed"),
+        (True, "the device is cpu: leave it out"),
+    ):
+        monkeypatch.setattr(theirs, "is_there", lambda there=there: there)
+        with pytest.raises(DataError, match=told):
+            fields.family("splat").start(scene, settings, "cpu")
+
+
+def test_what_it_cannot_do_is_refused() -> None:
+    with pytest.raises(UsageError, match=r"--loss kl.*mse, l1 or none"):
+        config(1, LossConfig("kl"), rasteriser="gsplat")
+    with pytest.raises(UsageError, match=r"--normal-weight 0\.1.*0 with --rasteriser gsplat"):
+        config(1, normal_weight=0.1, rasteriser="gsplat")

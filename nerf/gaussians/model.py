@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -20,7 +21,7 @@ from nerf.gaussians.shell import shell_of
 from nerf.gaussians.shot import Shot, Shots, position_at
 from nerf.gaussians.types import Drawing, Gaussians, Rasterised, SplatMoments, Viewpoint
 from nerf.gaussians.virtual import VirtualViews, is_virtual
-from nerf.kernels import kernels_for
+from nerf.kernels import Rasteriser, kernels_for, rasteriser_for
 from nerf.losses import LossConfig
 from nerf.model import StepResult
 from nerf.optimise import Optimiser
@@ -36,8 +37,6 @@ LEAST_SIDE_PX = 11
 """Window of SSIM: smaller images are trained by L1 alone."""
 LAPS = 8
 """Each training frame is learned from so many times before virtual views are: what they gain comes later."""
-ENDING = 0.8
-"""From this share of the budget on only training frames are learned from: what the warp shows is softer than they."""
 
 
 class SplatModel:
@@ -62,11 +61,16 @@ class SplatModel:
         """What only Gaussians are trained by."""
         return self.config.gaussians
 
+    @cached_property
+    def _rasteriser(self) -> Rasteriser:
+        """What draws the views that are learned from; whoever only looks at a field needs no package."""
+        return rasteriser_for(self.device, self.settings.rasteriser)
+
     def train(self, scene: Scene, config: FitConfig, step: int, progress: float) -> StepResult:
         """Do a step of training on one whole view; see nerf.model.Model."""
         virtual = self._virtual_share(scene, step, progress)
         shot = self._shot(scene, config, step, virtual)
-        seen = self._splat.rasterise(self.gaussians, shot.viewpoint, self._drawing(progress))
+        seen = self._rasteriser.rasterise(self.gaussians, shot.viewpoint, self._drawing(progress))
         result = self._learn(shot, seen, config, (step, progress))
         lap = math.ceil(len(scene.train) / (1 - virtual))
         if self.settings.densify and growth.is_due(step, lap, progress):
@@ -91,7 +95,7 @@ class SplatModel:
         if (
             not wanted
             or step < LAPS * len(scene.train)
-            or progress >= ENDING
+            or progress >= self.settings.virtual_until
             or scene.depth_m is None
             or len(scene.train) < 2
         ):
@@ -111,7 +115,7 @@ class SplatModel:
         by = self._splat.unshow(seen, shown, colour.d_rgb)
         losses.d_opacity += by.opacity
         normal = self._normals(shot, seen, losses, step)
-        gradients = self._splat.backward(seen, losses.gradients(by.rgb))
+        gradients = self._rasteriser.backward(seen, losses.gradients(by.rgb))
         if normal is not None:
             normal.add_to(gradients)
         if self.appearance is not None and shot.frame is not None and by.change is not None:
@@ -138,7 +142,7 @@ class SplatModel:
     def _drawing(self, progress: float = 1.0) -> Drawing:
         """Return how a training view is drawn: the colours' degree rises."""
         degree = min(self.settings.degree, int(progress * 4 * self.settings.degree))
-        return Drawing(degree=degree, cap_m=CAP_M, median=False)
+        return Drawing(degree=degree, low_pass_px2=self.settings.low_pass_px2, cap_m=CAP_M, median=False)
 
     @threads.quiet()
     def render(self, T_world_cam: Matrix, camera: Camera) -> RenderedView:

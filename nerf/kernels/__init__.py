@@ -145,19 +145,23 @@ class SampleKernels(Protocol):
         """Decide which cells of an occupancy grid are kept: nerf.twin.occupancy.prune."""
 
 
-class SplatKernels(Protocol):
-    """Gaussian splatting (Kerbl et al., SIGGRAPH 2023): n Gaussians, v of them in view of h x w pixels."""
+class Rasteriser(Protocol):
+    """Draws n Gaussians, v of them in view of h x w pixels (Kerbl et al., SIGGRAPH 2023), and goes back."""
 
     def rasterise(
         self, gaussians: Gaussians, viewpoint: Viewpoint, drawing: Drawing, background: Tensor | None = None
     ) -> Rasterised:
         """Draw Gaussians near to far; background: (h, w, 3) or (3,) colours behind them, None: black."""
 
-    def contributions(self, rasterised: Rasterised, pixels: Tensor) -> Contributions:
-        """Return what pixels (r,) int64, row * width + column, are made of."""
-
     def backward(self, rasterised: Rasterised, gradients: ViewGradients) -> SplatGradients:
         """Return a loss's derivatives by the Gaussians in view; the background's is d_rgb (1 - opacity)."""
+
+
+class SplatKernels(Rasteriser, Protocol):
+    """Gaussian splatting: the rasteriser, and all else that a step of training takes."""
+
+    def contributions(self, rasterised: Rasterised, pixels: Tensor) -> Contributions:
+        """Return what pixels (r,) int64, row * width + column, are made of."""
 
     def show(self, seen: Rasterised, behind: Behind) -> Shown:
         """Return what a frame shows of what was rasterised before black: the sky behind it, in the frame's colours."""
@@ -193,6 +197,20 @@ def kernels_for(device: torch.device) -> Kernels:
     if device.type == "cpu":
         return cpu_kernels()
     return triton_kernels() if _runs_triton(device) else plain_kernels()
+
+
+def rasteriser_for(device: torch.device, name: str) -> Rasteriser:
+    """Return what draws the views that Gaussians learn from: "gsplat", else ours.
+
+    Raises:
+        DataError: gsplat is not installed, or the device is no GPU.
+    """
+    if name != "gsplat":
+        return kernels_for(device).splat
+    from nerf.kernels import gsplat
+
+    gsplat.expect_usable(device)
+    return gsplat
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""The public package gsplat (Ye et al., JMLR 2025) as a rasteriser of the same functions, to be compared with ours.
+"""The public package gsplat (Ye et al., JMLR 2025) as a rasteriser of the same functions, beside ours.
 
 Nothing here needs it until it is called. Its pictures differ from ours where it has no setting: it stops at most 0.99
 of the light at once, finishes a pixel at 1e-4, holds slopes to another reach, does not cap depth, and finds no median
@@ -15,6 +15,8 @@ from torch import Tensor
 from nerf.gaussians.types import SIZES, Drawing, Gaussians, Rasterised, SplatGradients, ViewGradients, Viewpoint
 from priors.errors import DataError
 
+MISSING = "gsplat is not installed: pip install gsplat, where a CUDA toolkit is; or draw without it"
+
 
 class Kept(NamedTuple):
     """What the way back needs: autograd's graph."""
@@ -26,6 +28,14 @@ class Kept(NamedTuple):
     """(1, n, 2)"""
     drawn: tuple[Tensor, Tensor, Tensor]
     """rgb, depth_sum and opacity, with their graph."""
+
+
+def expect_usable(device: torch.device) -> None:
+    """Raise DataError where the package is missing, or the device is no GPU."""
+    if not is_there():
+        raise DataError(f"--rasteriser gsplat: {MISSING}")
+    if device.type != "cuda":
+        raise DataError(f"--rasteriser gsplat: it draws on a GPU alone, and the device is {device.type}: leave it out")
 
 
 def is_there() -> bool:
@@ -42,7 +52,7 @@ def rasterise(
         DataError: the package is not installed.
     """
     if not is_there():
-        raise DataError("gsplat is not installed: pip install gsplat, where a CUDA toolkit is; or draw without it")
+        raise DataError(MISSING)
     from gsplat import rasterization
 
     device, (height, width) = gaussians.means_m.device, viewpoint.camera.size
