@@ -16,6 +16,11 @@ from priors.drives import poses_of
 from priors.errors import DataError
 from priors.types import Depth, Drive, Frame
 
+GUESSING = ("completion",)
+"""Methods that fill a map with guesses where they measured nothing. Of completion's values with a confidence below
+0.2, on drive 0009 and a street, 56 to 69 % are more than a tenth too near and 12 to 15 % too far; of stereo's 19 to
+25 and 22 to 28 %."""
+
 
 @dataclass(frozen=True)
 class Truth:
@@ -61,6 +66,11 @@ class CachedMaps:
         """Whether its values have one."""
         return self.prior.confidence_path("").parent.is_dir()
 
+    @property
+    def guesses(self) -> bool:
+        """Whether its values of low confidence are guesses, most of them too near."""
+        return self.prior.method in GUESSING
+
     def stamps(self, ids: Sequence[str], held_out: Sequence[str]) -> dict[str, str]:
         """Return what tells apart the maps of the frames that have one, by frame id.
 
@@ -101,6 +111,7 @@ class TrueMaps:
     drive: Drive
     name: ClassVar[str] = TRUTH.name
     has_confidence: ClassVar[bool] = False
+    guesses: ClassVar[bool] = False
 
     @property
     def told(self) -> str:

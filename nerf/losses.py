@@ -17,19 +17,21 @@ prior's standard deviation (metres, max(sigma_floor_m, sigma_share * d)):
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Literal
 
 import torch
 from torch import Tensor
 
 from nerf.kernels import RenderKernels, kernels_for
+from nerf.precision import precision
 from nerf.types import Gradients, Rays, Rendered, Samples, Target
 from nerf.world import here
 from priors.errors import expect, expect_choices
 
 DepthLoss = Literal["none", "mse", "l1", "kl", "urf"]
 DepthMean = Literal["prior", "all"]
+Weigh = Literal["auto", "confidence", "precision"]
 
 
 SOFT = 0.05
@@ -59,6 +61,10 @@ class LossConfig:
     Instant-NGP): a sparse map then pulls less than a dense one."""
     by_confidence: bool = True
     """Weight rays by the prior's confidence, the probability that it is right."""
+    weigh: Weigh = "auto"
+    """What rays count by in the depth loss. confidence: as it is; precision: how exact a value of such a confidence is
+    (nerf/precision.py), so that one that is right once in ten times pulls a thirtieth as hard as a sure one (mse: an
+    800th); auto: precision where the prior's guesses lie too near, as a completed map's, else confidence."""
     trim: float = 0.05
     """Share of each batch's prior rays, those with the largest depth loss, that is left out."""
     distortion: float = 1e-3
@@ -71,7 +77,7 @@ class LossConfig:
     sky_opacity: float = 0.001
     """Weight of what stops the light of rays into the sky, where there is a prior; 0: the sky may be solid."""
 
-    BEFORE: ClassVar[Mapping[str, Any]] = {"sky_opacity": 0.0, "trim": 0.0, "opacity_power": 1.0}
+    BEFORE: ClassVar[Mapping[str, Any]] = {"sky_opacity": 0.0, "trim": 0.0, "opacity_power": 1.0, "weigh": "confidence"}
 
     def __post_init__(self) -> None:
         expect_choices(self, "")
@@ -82,6 +88,10 @@ class LossConfig:
             value = getattr(self, name)
             expect(0 < value < math.inf, _flag(name), value, "more than 0 m")
         expect(0 <= self.trim < 1, "--trim", self.trim, "a share from 0 to less than 1")
+
+    def of(self, guessed: bool) -> "LossConfig":
+        """Return the settings for a prior, `guessed`: whether its guesses lie too near (nerf/guide.py)."""
+        return replace(self, weigh="precision" if guessed else "confidence") if self.weigh == "auto" else self
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +135,8 @@ def losses(
         deviation_m = (config.sigma_share * prior_m).clamp(min=config.sigma_floor_m)
         target = Target(rays.norms, prior_m, deviation_m)
         term = _DepthTerm(config, samples, target, sigma, rendered, kernels)
-        terms["depth"] = _depth(term, weight, rays.share, gradients, each)
+        counts = precision(config.loss, weight) if config.weigh == "precision" else weight
+        terms["depth"] = _depth(term, counts, rays.share, gradients, each)
     terms["opacity"] = _opacity(config, _share(rays, _stopping(config, samples, weight)), rendered, gradients)
     if rays.sky is not None and config.sky_opacity > 0:
         terms["sky"] = _sky(config, _share(rays, rays.sky), rendered, gradients)

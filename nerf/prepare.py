@@ -108,7 +108,9 @@ def open_scene(
     origin_m = origin.origin_of(poses) if origin_m is None else origin_m
     poses = origin.without(origin_m, poses)
     sky = None if copied is None else copied.sky()
-    return Scene(drive.name, preparation.ids, camera, poses, images, depth_m, weight, train, test, origin_m, sky)
+    guessed = copied is not None and copied.source.guesses
+    arrays = images, depth_m, weight
+    return Scene(drive.name, preparation.ids, camera, poses, *arrays, train, test, origin_m, sky, guessed=guessed)
 
 
 def disk_told(drive: Drive, prior: Guide | None, config: SceneConfig, folder: Path) -> str | None:

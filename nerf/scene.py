@@ -52,6 +52,8 @@ class Scene:
     """(frames, height, width) 1 where the image shows sky and the prior is not sure of a surface."""
     around: tuple[int, int] | None = None
     """First frame, and the one after the last, of those that a field's space is laid around; None: all."""
+    guessed: bool = False
+    """Whether the prior's values of low confidence are guesses, most of them too near (nerf/guide.py)."""
 
     @property
     def path(self) -> npt.NDArray[np.float64]:

@@ -51,10 +51,10 @@ KNOWN = {
 }
 PINNED = {
     "completion": "f9c14d3cd0",
-    "fused": "d09fdb3aef",
+    "fused": "05cb50b4dd",
     "lidar": "3ca9b5abff",
     "mono": "321a4ec779",
-    "stereo": "996308e952",
+    "stereo": "f8555406e4",
 }
 
 

@@ -282,5 +282,7 @@ def test_the_preset_s_fields_learn_no_exposure_and_each_run_s_own_command_says_s
     assert not fitted.model.gaussians.appearance and not alone.model.gaussians.appearance
     assert (fitted.losses.opacity_power, fitted.align, fitted.losses.trim) == (1.0, alone.align, alone.losses.trim)
     assert alone.losses.opacity_power == (1.0 if field == "mip360" else LossConfig().opacity_power)
+    assert fitted.losses.weigh == "confidence"
+    assert alone.losses.weigh == ("confidence" if field == "mip360" else "auto")
     assert fitted.rays_growth == 1 and alone.rays_growth == (1 if field == "mip360" else None)
     assert StudyArguments(steps=7).fit().model.gaussians.appearance

@@ -30,6 +30,7 @@ WRONG: list[tuple[type[Any], str, list[Any]]] = [
     (LossConfig, "sigma_share", [-0.1]),
     (LossConfig, "sigma_floor_m", [0.0, -1.0, math.nan]),
     (LossConfig, "trim", [-0.1, 1.0]),
+    (LossConfig, "weigh", ["no", ""]),
     (LossConfig, "distortion", [-1.0]),
     (LossConfig, "opacity", [-1.0]),
     (OptimiserConfig, "grid", [-1.0, math.nan]),

@@ -110,6 +110,20 @@ def test_batches_grow_as_the_family_or_the_user_has_it(
     assert [status.rays for status in seen] == grown
 
 
+@pytest.mark.parametrize("guessed", [True, False])
+def test_doubtful_values_count_by_precision_where_they_are_guesses(tmp_path: Path, guessed: bool) -> None:
+    """The same bits as where the user says it, and other ones than the other way."""
+    scene = corridor()
+    trust = np.random.default_rng(0).integers(0, 255, scene.images.shape[:3]).astype(np.uint8)
+    scene = replace(scene, weight=trust, guessed=guessed)
+    ways = {
+        weigh: fit(scene, config(3, weigh=weigh), tmp_path / weigh) for weigh in ("auto", "precision", "confidence")
+    }
+    table = {weigh: model.parameters()["field.grid"] for weigh, model in ways.items()}
+    assert torch.equal(table["auto"], table["precision"]) == guessed
+    assert torch.equal(table["auto"], table["confidence"]) != guessed
+
+
 @pytest.mark.parametrize("family", TRAINED)
 def test_a_resumed_run_ends_in_the_same_bits(tmp_path: Path, family: str) -> None:
     scene = corridor("sparse")

@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -12,8 +13,10 @@ from torch import Tensor
 from nerf.kernels.cpu import render as cpu
 from nerf.kernels.plain import render as plain
 from nerf.losses import LossConfig, losses, prior_weight, trimmed
+from nerf.precision import SUREST, precision
 from nerf.twin import render as twin
 from nerf.types import SAMPLE_BLOCK, Gradients, Rays, Rendered, Samples, Target
+from priors.error_model import WITHIN, spread_of
 
 
 def make(counts: list[int], seed: int = 0) -> tuple[Samples, Tensor, Tensor, Tensor, Rays]:
@@ -246,3 +249,27 @@ def test_opacity_counts_by_the_priors_confidence(power: float) -> None:
     assert found.gradients.transmittance.tolist() == pytest.approx([1 / 2, 0.1**power / 2, 0])
     blind = losses(replace(rules, by_confidence=False), samples, given, sigma, drawn)
     assert blind.gradients.transmittance.tolist() == pytest.approx([1 / 3] * 3)
+
+
+@given(st.floats(0.06, SUREST), st.floats(0.06, SUREST))
+def test_a_value_counts_by_the_inverse_of_the_error_to_expect(one: float, other: float) -> None:
+    """Against the spreads of priors/error_model.py; what is surer than SUREST counts as that."""
+    chance = torch.tensor([one, other, 1.0])
+    spread = torch.from_numpy(spread_of(np.full(3, 10, np.float32), np.array([one, other, SUREST], np.float32), WITHIN))
+    for loss, power in (("l1", 1), ("mse", 2), ("urf", 2)):
+        found = precision(loss, chance)
+        torch.testing.assert_close(found, (spread[2] / spread) ** power, rtol=1e-3, atol=0)
+    assert torch.equal(precision("kl", chance), chance)
+
+
+@pytest.mark.parametrize(("kind", "power"), [("l1", 1), ("mse", 2)])
+def test_depth_losses_weigh_by_confidence_or_by_what_it_says_of_precision(kind: str, power: int) -> None:
+    samples, sigma, rgb, sky, rays = make([10] * 4)
+    made = cpu.forward(samples, sigma, rgb, sky)
+    chance = torch.tensor([0.9, 0.1, 0.0, 0.5])
+    given = Rays(rays.origins_m, rays.directions, rays.rgb, made.depth_m + 2, chance)
+    rules = LossConfig(loss=kind, trim=0.0, depth_weight=1.0, distortion=0.0)  # type: ignore[arg-type]
+    rate = torch.log(1 - chance) ** power * (-1) ** power
+    for config, counts in ((replace(rules, weigh="precision"), rate), (rules, chance)):
+        pull = losses(config, samples, given, sigma, made).gradients.depth_m
+        torch.testing.assert_close(pull / pull.sum(), counts / counts.sum(), rtol=1e-4, atol=1e-7)

@@ -46,11 +46,11 @@ class Corridor:
         return self.print_
 
 
-def prior(folder: Path, depths: dict[str, np.ndarray], print_: str = "corridor") -> Prior:
+def prior(folder: Path, depths: dict[str, np.ndarray], print_: str = "corridor", method: str = "m") -> Prior:
     manifest = {
         "format": cache.FORMAT,
         "key": "0" * 10,
-        "method": "m",
+        "method": method,
         "drive": {"name": "corridor", "path": "/nowhere"},
     }
     made = cache.create(folder / "corridor" / "m-0", {**manifest, "fingerprint": print_})
@@ -95,6 +95,14 @@ def test_drawing_is_decided_by_seed_and_step(tmp_path: Path) -> None:
     np.testing.assert_array_equal(one.directions, same.directions)
     assert not np.array_equal(one.directions, other.directions)
     assert set(one.origins_m[:, 2].tolist()) <= {float(position) for position in made.train}
+
+
+@pytest.mark.parametrize(("method", "guessed"), [("completion", True), ("stereo", False), ("lidar", False)])
+def test_a_completed_map_s_doubtful_values_are_guesses(tmp_path: Path, method: str, guessed: bool) -> None:
+    assert (
+        scene(tmp_path, Corridor(), prior(tmp_path / "cache", {"000003": flat(7.0)}, method=method)).guessed == guessed
+    )
+    assert not scene(tmp_path, Corridor(), None).guessed
 
 
 def test_filters_thin_the_prior(tmp_path: Path) -> None:

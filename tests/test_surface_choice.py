@@ -19,8 +19,19 @@ from priors.learn import surface_fit
 from priors.learn.surface_fit import UnsurePixels
 from priors.methods import _stereo_classical as classical
 from priors.nets import runtime, surface_choice, weights
-from priors.nets.surface_choice import CLUES, FARTHEST, FIRST_CLUES, HIDDEN, NEAREST, OFFERED, UNSURE, SurfaceChoice
-from priors.types import FloatMap, Image
+from priors.nets.surface_choice import (
+    CLUES,
+    FARTHEST,
+    FIRST_CLUES,
+    HIDDEN,
+    NEAREST,
+    OFFERED,
+    UNSURE,
+    WIDE_CLUES,
+    WIDE_OFFERED,
+    SurfaceChoice,
+)
+from priors.types import FloatMap, Image, Mask
 
 SIZES = st.tuples(st.integers(1, 12), st.integers(1, 14))
 
@@ -150,21 +161,28 @@ def test_rules_of_before_look_at_the_first_clues() -> None:
     assert np.allclose(old(maps, image), SurfaceChoice(((blind, bias), *old.layers[1:]))(maps, image), rtol=1e-5)
 
 
-def made_pixels(seed: int, n: int = 6000) -> UnsurePixels:
-    """Draw pixels whose truth is the nearest value within 5 px where the confidence is below 0.4, else their own."""
+def made_pixels(seed: int, n: int = 6000, *, wide: bool = False) -> UnsurePixels:
+    """Draw pixels whose truth is the nearest value within 5 px where the confidence is below 0.4, else their own.
+
+    Of a wide rule it is the sure neighbour below instead.
+    """
     rng = np.random.default_rng(seed)
-    clues = rng.normal(0, 1, (CLUES, n)).astype(np.float32)
+    clues = rng.normal(0, 1, (WIDE_CLUES if wide else CLUES, n)).astype(np.float32)
     clues[0] = rng.uniform(0, UNSURE, n)
     offered_px = np.sort(np.exp(rng.uniform(1, 5, (OFFERED, n))), axis=0)[[2, 3, 4, 5, 6, 1, 0]].astype(np.float32)
-    truth_px = np.where(clues[0] < 0.4, offered_px[1 + NEAREST.index(5)], offered_px[0])
+    if wide:
+        farther_px = np.exp(rng.uniform(1, 5, (WIDE_OFFERED - OFFERED, n))).astype(np.float32)
+        offered_px = np.concatenate([offered_px, farther_px])
+    truth_px = np.where(clues[0] < 0.4, offered_px[-1 if wide else 1 + NEAREST.index(5)], offered_px[0])
     part = np.arange(n) % surface_fit.PARTS
     return UnsurePixels(clues, offered_px, truth_px, np.ones(n, np.float32), part, np.full(n, "street"))
 
 
-def test_fit_finds_which_surface_counts_on_new_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("wide", [False, True])
+def test_fit_finds_which_surface_counts_on_new_pixels(monkeypatch: pytest.MonkeyPatch, wide: bool) -> None:
     monkeypatch.setattr(surface_fit, "STEPS", 150)
     monkeypatch.setattr(surface_fit, "BATCH", 512)
-    choice, new = surface_fit.fit(made_pixels(0)), made_pixels(1, 2000)
+    choice, new = surface_fit.fit(made_pixels(0, wide=wide)), made_pixels(1, 2000, wide=wide)
     before, after = (
         np.abs(new.truth_px / found_px - 1).mean()
         for found_px in (new.offered_px[0], choice.decide(new.clues, new.offered_px))
@@ -196,10 +214,12 @@ def test_header_keeps_the_choice(tmp_path: Path) -> None:
 
 
 def test_shipped_rules_look_at_all_clues() -> None:
-    network = SurfaceChoice.read(weights.read_about(weights.find("cfnet", "s")))
-    for choice in (network, classical.load_choice()):
+    """Those of cfnet at what is around, the others farther."""
+    narrow, wide = (CLUES, *HIDDEN, OFFERED), (WIDE_CLUES, *HIDDEN, WIDE_OFFERED)
+    networks = (SurfaceChoice.read(weights.read_about(weights.find(net, "s"))) for net in ("cfnet", "pcwnet"))
+    for choice, sides in zip((*networks, classical.load_choice()), (narrow, wide, wide), strict=True):
         assert choice is not None
-        assert [weight.shape for weight, _ in choice.layers] == [(CLUES, 16), (16, 16), (16, OFFERED)]
+        assert [weight.shape for weight, _ in choice.layers] == list(pairwise(sides))
 
 
 def test_classical_stereo_errs_less_around_a_post_that_is_plain() -> None:
@@ -213,6 +233,32 @@ def test_classical_stereo_errs_less_around_a_post_that_is_plain() -> None:
     assert after < before
     apart = classical.estimate(left, right, 48, np.ones((120, 320), np.bool_))[0]
     assert np.array_equal(apart, classical.smooth(left, right, 48)[0])  # the sky keeps what was matched
+
+
+def clipped_van() -> tuple[Image, Image, Mask]:
+    """Draw both views of a street with a van at 2 m on its left, and tell where its side is clipped white."""
+    rng = np.random.default_rng(0)
+    row, column = np.mgrid[:375, :1242]
+    texture = cv2.GaussianBlur(rng.integers(0, 256, (375, 1242)).astype(np.uint8), (0, 0), 1.2)
+    van = (row >= 150) & (row < 330) & (column < 420)
+    clipped = (row >= 158) & (row < 322) & (column >= 8) & (column < 412)
+    truth_px = np.where(van, 190, np.maximum(4, 0.4 * (row - 170.0))).astype(np.float32)
+    left = np.where(clipped, 255, np.where(van, texture // 2 + 60, texture))
+    right = cv2.GaussianBlur(rng.integers(0, 256, (375, 1242)).astype(np.uint8), (0, 0), 1.2)
+    for part in (~van, van):  # the near one is drawn last
+        place = np.rint(column - truth_px).astype(int)
+        seen = part & (place >= 0)
+        right[row[seen], place[seen]] = left[seen]
+    noisy = (np.clip(view + rng.normal(0, 2, view.shape), 0, 255).astype(np.uint8) for view in (left, right))
+    return next(noisy), next(noisy), clipped
+
+
+def test_clipped_white_of_a_near_van_does_not_become_the_far_background() -> None:
+    """Neither eye sees anything there, and what is filled in comes from behind: a hundred metres instead of two."""
+    left, right, clipped = clipped_van()
+    found = classical.smooth(left, right)[0], classical.estimate(left, right, 208)[0]
+    before, after = (float((map_px < 8)[clipped].mean()) for map_px in found)  # beyond 48 m
+    assert before > 0.2 and after < 0.05
 
 
 def test_what_nothing_matched_stays_without_a_value() -> None:
@@ -232,10 +278,12 @@ def test_command_writes_the_header_and_leaves_the_tensors(
     path, before = tmp_path / "mine.safetensors", weights.load(weights.find("cfnet", "s"))
     weights.write(path, runtime.create("cfnet", "s"), {"net": "cfnet", "size": "s"})
     held = weights.load(path).tensors
-    assert priors.PROGRAM.run(["train", "surfaces", str(path), "--street", str(street)]) == 0
+    assert priors.PROGRAM.run(["train", "surfaces", str(path), "--street", str(street), "--wide"]) == 0
     assert capsys.readouterr().out.startswith("street, ")
     after = weights.load(path)
-    assert SurfaceChoice.read(after.about) is not None and after.about.keys() <= before.about.keys()
+    choice = SurfaceChoice.read(after.about)
+    assert choice is not None and choice.layers[-1][1].size == WIDE_OFFERED
+    assert after.about.keys() <= before.about.keys()
     assert all(torch.equal(held[name], value) for name, value in after.tensors.items())
     with pytest.raises(DataError, match="no pairs with truth"):
         surface_fit.collect(surface_fit.matcher_of(runtime.open_net("cfnet", "s", "fp32")), {}, {})

@@ -161,16 +161,16 @@ ARGUMENTS = {"nerf study": StudyArguments}
 def _as_the_paper(fit: FitConfig) -> FitConfig:
     """Return a fit without what the study's fields do not have.
 
-    That is the colours of frames, the doubt of the opacity loss, and batches that grow.
+    That is the colours of frames, doubt beyond a prior's own confidence, and batches that grow.
     """
     model = replace(fit.model, gaussians=replace(fit.model.gaussians, appearance=False))
-    return replace(fit, model=model, losses=replace(fit.losses, opacity_power=1.0), rays_growth=1.0)
+    return replace(fit, model=model, losses=replace(fit.losses, opacity_power=1.0, weigh="confidence"), rays_growth=1.0)
 
 
 def _words_of_the_paper(field: str) -> list[str]:
     """Return the same as flags, of those that a family reads."""
     words = ["--no-appearance"] if is_trained(field) else []
-    return [*words, "--opacity-power", "1", "--rays-growth", "1"] if field in FIELDS else words
+    return [*words, "--opacity-power", "1", "--weigh", "confidence", "--rays-growth", "1"] if field in FIELDS else words
 
 
 def run(arguments: list[str]) -> int:

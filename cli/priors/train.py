@@ -148,6 +148,8 @@ class SurfacesArguments:
     """Real data, as in training."""
     cache: Path | None = None
     """Where prepared real data is kept, as in training."""
+    wide: bool = False
+    """Also offer planes continued and the first sure pixel on each side: for networks that fail on whole walls."""
 
 
 def run(arguments: list[str]) -> int:
@@ -279,7 +281,7 @@ def fit_surfaces(args: SurfacesArguments) -> None:
     if net not in STEREO:
         raise DataError(f"{args.file}: of {net}, which does not match: a stereo network chooses among surfaces")
     with busy("fitting the choice of surfaces"):
-        lines = surface_fit.fit_file(args.file, Folders(args.street, args.real, args.cache))
+        lines = surface_fit.fit_file(args.file, Folders(args.street, args.real, args.cache), wide=args.wide)
     for line in lines:
         out.print(line)
 

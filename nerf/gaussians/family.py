@@ -28,7 +28,14 @@ def _expect_drawn(config: FitConfig, device: str) -> None:
 class SplatFamily:
     """A nerf.model.Family."""
 
-    unread = ("model.width", "model.sampler", "losses.distortion", "losses.opacity_power", "rays_growth")
+    unread = (
+        "model.width",
+        "model.sampler",
+        "losses.distortion",
+        "losses.opacity_power",
+        "losses.weigh",
+        "rays_growth",
+    )
 
     def start(self, scene: Scene, config: FitConfig, device: str) -> Model:
         """Make a model of a scene from its prior; without one, a hash field that finds the surfaces first."""

@@ -42,7 +42,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Fit, print what it is worth on pairs left out, and write; takes the command line's arguments."""
     asked = tyro.cli(ClassicalFit, args=arguments, description=__doc__)
     paths = surface_fit.find_pairs(Folders(asked.street, asked.real, asked.cache))
-    pixels = surface_fit.collect(look, paths, SHARES)
+    pixels = surface_fit.collect(look, paths, SHARES, wide=True)
     for line in surface_fit.cross_validate(pixels):
         print(line, flush=True)
     held = {surface_choice.ENTRY: surface_fit.fit(pixels).record()}

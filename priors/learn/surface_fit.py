@@ -28,7 +28,7 @@ from priors.learn.stereo_pair import StereoPair
 from priors.nets import runtime, surface_choice, weights
 from priors.nets.confidence import ConfidenceCalibration
 from priors.nets.runtime import Ready, as_map
-from priors.nets.surface_choice import CLUES, HIDDEN, OFFERED, Maps, SurfaceChoice
+from priors.nets.surface_choice import HIDDEN, Maps, SurfaceChoice
 from priors.types import FloatMap
 
 Matcher = Callable[[StereoPair], Maps]
@@ -63,9 +63,9 @@ class UnsurePixels:
     """Pixels of any number of pairs, n in all, whose confidence is below BELOW."""
 
     clues: FloatMap
-    """(CLUES, n)."""
+    """(CLUES, n), or more of a wide rule."""
     offered_px: FloatMap
-    """(OFFERED, n)."""
+    """(OFFERED, n), or more of a wide rule."""
     truth_px: FloatMap
     """(n,)."""
     weight: FloatMap
@@ -83,14 +83,15 @@ class UnsurePixels:
         )
 
 
-def fit_file(file: Path, folders: Folders) -> list[str]:
+def fit_file(file: Path, folders: Folders, *, wide: bool = False) -> list[str]:
     """Fit the choice of a file of weights, rewriting its header; returns lines that say what it is worth.
 
+    With `wide` the rule may also choose what lies farther away (nets/surface_choice.py).
     DataError where the weights are another kind of network's, or there is nothing to fit to.
     """
     about = weights.read_about(file)
     ready = runtime.open_net(about["net"], about["size"], runtime.choose("auto"), file)
-    pixels = collect(matcher_of(ready), find_pairs(folders), SHARES)
+    pixels = collect(matcher_of(ready), find_pairs(folders), SHARES, wide=wide)
     lines = list(cross_validate(pixels))
     weights.rewrite_about(file, **{surface_choice.ENTRY: fit(pixels).record()})
     return lines
@@ -115,7 +116,12 @@ def matcher_of(ready: Ready) -> Matcher:
 
 
 def collect(
-    look: Matcher, paths: Mapping[str, Sequence[Path]], shares: Mapping[str, float], seed: int = 0
+    look: Matcher,
+    paths: Mapping[str, Sequence[Path]],
+    shares: Mapping[str, float],
+    *,
+    wide: bool = False,
+    seed: int = 0,
 ) -> UnsurePixels:
     """Match pairs and draw pixels of each; DataError where there are none.
 
@@ -123,13 +129,14 @@ def collect(
         look: matches a pair.
         paths: files of pairs, by source.
         shares: what a pair of each source weighs.
+        wide: the rule may also choose what lies farther away.
         seed: decides which pixels are drawn.
     """
     rng, parts = np.random.default_rng(seed), []
     for source, files in paths.items():
         for number, path in enumerate(files):
             pair = pair_file.read(path)
-            *drawn, weight = _draw(look(pair), pair, rng)
+            *drawn, weight = _draw(look(pair), pair, rng, wide)
             place = np.full(weight.size, number // NEIGHBOURS % PARTS), np.full(weight.size, source)
             parts.append((*drawn, shares[source] * weight, *place))
     if not parts:
@@ -137,14 +144,15 @@ def collect(
     return UnsurePixels(*(np.concatenate(column, axis=-1) for column in zip(*parts, strict=True)))
 
 
-def _draw(maps: Maps, pair: StereoPair, rng: np.random.Generator) -> tuple[FloatMap, FloatMap, FloatMap, FloatMap]:
+def _draw(
+    maps: Maps, pair: StereoPair, rng: np.random.Generator, wide: bool
+) -> tuple[FloatMap, FloatMap, FloatMap, FloatMap]:
     """Return a pair's clues (CLUES, n), what is offered (OFFERED, n), truth and weights (n,)."""
     truth_px = pair.disparity_px
     known = (pair.weight > SURE) & ~pair.sky & (truth_px > LEAST_PX) & (truth_px < LARGEST_PX - 1)
     unsure = np.flatnonzero(known & (maps[3] < BELOW))
     at = np.sort(rng.permutation(unsure)[:PER_PAIR])
-    offered_px = surface_choice.offer(maps[0], at)
-    clues = surface_choice.see(offered_px, maps, pair.left, at)
+    offered_px, clues = surface_choice.look(maps, pair.left, at, wide=wide)
     each = unsure.size / max(1, at.size) / max(1, int(known.sum()))
     return clues, offered_px, truth_px.reshape(-1)[at], np.full(at.size, each, np.float32)
 
@@ -157,7 +165,7 @@ def fit(pixels: UnsurePixels, seed: int = 0) -> SurfaceChoice:
     truth_px, weight = torch.from_numpy(pixels.truth_px), torch.from_numpy(pixels.weight / pixels.weight.mean())
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        net = _make_net()
+        net = _make_net(len(pixels.clues), len(pixels.offered_px))
     optimiser = torch.optim.Adam(net.parameters(), RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, STEPS)
     for step in range(STEPS):
@@ -175,9 +183,9 @@ def fit(pixels: UnsurePixels, seed: int = 0) -> SurfaceChoice:
     return SurfaceChoice(tuple((weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in layers))
 
 
-def _make_net() -> nn.Sequential:
+def _make_net(clues: int, offered: int) -> nn.Sequential:
     """Make a network that at first says: the map's own."""
-    sides = CLUES, *HIDDEN, OFFERED
+    sides = clues, *HIDDEN, offered
     dense = [nn.Linear(*side) for side in pairwise(sides)]
     net = nn.Sequential(*(part for each in dense[:-1] for part in (each, nn.ReLU())), dense[-1])
     weight, bias = dense[-1].parameters()

@@ -34,6 +34,8 @@ def estimate(left: Image, right: Image, max_disparity_px: int, sky: Mask | None 
         sky: (height, width), True where no other surface is chosen; None: nowhere.
     """
     maps = smooth(left, right, max_disparity_px)
+    if not maps[0].any():  # nothing was matched: there is nothing to choose from
+        return maps[:2]
     return load_choice()(maps, left, sky), maps[1]
 
 

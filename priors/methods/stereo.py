@@ -64,7 +64,7 @@ class Stereo(Method):
     """How many rows the other image lies too low, px, negative where too high: it is shifted back. Default: measured on
     the drive's first pair, and left as it is below 0.75 px."""
 
-    VERSION: ClassVar[int] = 3
+    VERSION: ClassVar[int] = 4
     BEFORE: ClassVar[Mapping[str, Any]] = {"rows_px": None, "resize": "none"}
 
     def __post_init__(self) -> None:

@@ -4,7 +4,8 @@ Beside an outline, behind glass and on thin things two surfaces match about alik
 them, or the far one. Where its confidence is low, a small rule looks at the disparities around: the map itself, the
 nearest and the farthest value of windows of several sizes, and what is of the pixel's own colour. It answers how much
 each of the windows' values counts. The result is their weighted mean, so that nothing comes out that the network saw
-nowhere near.
+nowhere near. A wide rule may also choose planes continued (surface_planes.py) and the first sure pixel on each side
+(sure_neighbours.py): in the middle of a hole no value around is right.
 
 The rule is a dense network of two hidden layers. `priors train surfaces` fits it (priors/learn/surface_fit.py); the
 header of the weights holds it. The classical method has a rule of its own (weights/classical.json).
@@ -19,7 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from priors.codecs import as_rgb
+from priors.nets import sure_neighbours, surface_planes
 from priors.nets.confidence import is_hidden
+from priors.nets.sure_neighbours import find_sure
+from priors.nets.surface_planes import continue_planes
 from priors.types import FloatMap, Image, Mask
 
 ENTRY = "surfaces"
@@ -44,6 +48,10 @@ ALIKE_GREY = 12.0
 FIRST_CLUES = 6 + len(MEANS) + OFFERED - 1
 """What rules of before looked at: the first of the clues."""
 CLUES = FIRST_CLUES + 1 + len(SEEN_PX) + 4
+WIDE_OFFERED = OFFERED + len(surface_planes.REACHES) + sure_neighbours.SIDES
+WIDE_CLUES = CLUES + surface_planes.CLUES_EACH * len(surface_planes.REACHES)
+WIDE_CLUES += sure_neighbours.CLUES_EACH * sure_neighbours.SIDES
+"""The same of a wide rule, which planes and sure neighbours come after."""
 LEAST_PX, LEAST_SIGMA_PX = 1.0, 0.05
 """What a disparity and a deviation are at least, before their logarithm is taken."""
 LARGEST_LOGIT = 30.0
@@ -58,7 +66,8 @@ class SurfaceChoice:
     """A fitted rule."""
 
     layers: Layers
-    """Of a dense network, ReLU between them: CLUES values to OFFERED logits. Rules of before take the first clues."""
+    """Of a dense network, ReLU between them: CLUES values to OFFERED logits, WIDE_CLUES to WIDE_OFFERED of a wide rule.
+    Rules of before take the first clues."""
 
     @classmethod
     def read(cls, about: Mapping[str, Any]) -> Self | None:
@@ -84,14 +93,16 @@ class SurfaceChoice:
         unsure = np.flatnonzero(confidence < UNSURE if apart is None else (confidence < UNSURE) & ~apart)
         if not unsure.size:
             return disparity_px
-        offered_px = offer(disparity_px, unsure)
-        clues = see(offered_px, maps, left, unsure)
+        offered_px, clues = look(maps, left, unsure, wide=self.layers[-1][1].size == WIDE_OFFERED)
         chosen = disparity_px.copy()
         chosen.reshape(-1)[unsure] = self.decide(clues, offered_px)
         return chosen
 
     def decide(self, clues: FloatMap, offered_px: FloatMap) -> FloatMap:
-        """Return the mean (n,) of what is offered (OFFERED, n), px, as the rule weighs it by clues (CLUES, n)."""
+        """Return the mean (n,) of what is offered (OFFERED, n), px, as the rule weighs it by clues (CLUES, n).
+
+        A wide rule has more rows of both.
+        """
         from priors.kernels.dense import dense
 
         values = np.ascontiguousarray(clues[: len(self.layers[0][0])], np.float32)
@@ -103,6 +114,24 @@ class SurfaceChoice:
             values = answer
         share = np.exp(np.clip(values - values.max(axis=0), -LARGEST_LOGIT, 0))
         return np.asarray((share * offered_px).sum(axis=0) / share.sum(axis=0), np.float32)
+
+
+def look(maps: Maps, left: Image, at: npt.NDArray[np.intp], *, wide: bool = False) -> tuple[FloatMap, FloatMap]:
+    """Return the disparities that pixels choose from, (OFFERED, n) px, and the rule's clues (CLUES, n).
+
+    Args:
+        maps: what the network says, (height, width) each.
+        left: (height, width) or (height, width, 3) uint8.
+        at: (n,) indices of pixels, rising.
+        wide: offer what lies farther away too: (WIDE_OFFERED, n) and (WIDE_CLUES, n).
+    """
+    offered_px = offer(maps[0], at)
+    clues = see(offered_px, maps, left, at)
+    if not wide:
+        return offered_px, clues
+    planes_px, of_planes = continue_planes(maps[0], maps[3], at)
+    sure_px, of_sure = find_sure(maps[0], maps[3] >= UNSURE, at)
+    return np.concatenate([offered_px, planes_px, sure_px]), np.concatenate([clues, of_planes, of_sure])
 
 
 def offer(disparity_px: FloatMap, at: npt.NDArray[np.intp]) -> FloatMap:
