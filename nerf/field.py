@@ -62,24 +62,27 @@ class Field:
     def forward(self, samples: Samples, units: Tensor, footprint: Tensor | None = None) -> tuple[Tensor, Tensor]:
         """Return density (m,), 1/m, and colour (m, 3) of samples on rays with unit directions (r, 3).
 
+        What only pads the samples is not asked for where the kernels take any whole blocks: it is 0.
         `footprint` (m,): the samples' standard deviations in units of u; None: points.
         """
-        u, table, footprint = self._padded(samples.u, samples.table, footprint)
-        ray = _pad(samples.ray, len(u))
+        count = len(samples.u)
+        asked = self._asked(count, samples.used)
+        u, table, footprint = self._padded(samples.u[:asked], samples.table[:asked], _first(footprint, asked))
+        ray = _pad(samples.ray[:asked], len(u))
         features = self.grid.encode(u, table, footprint)
         basis = self._basis(units)
         sigma, rgb = self.mlp.shade(features, basis, ray)
-        self._forward = _Forward(u, table, footprint, features, ray, basis, len(samples.u))
-        return sigma[: len(samples.u)], rgb[: len(samples.u)]
+        self._forward = _Forward(u, table, footprint, features, ray, basis, count)
+        return _long(sigma, count), _long(rgb, count)
 
     def backward(self, d_sigma: Tensor, d_rgb: Tensor, kept: Tensor | None = None) -> None:
         """Set all gradients from those of the last `forward`'s results: (m,) and (m, 3).
 
         `kept` (k,): places of the samples that count; None: all. The others have no gradient, and cost nothing.
         """
-        last = self._last(d_sigma)
+        last = self._last(d_sigma, kept)
         if kept is not None:
-            last, d_sigma, d_rgb = self._part(last, kept), d_sigma[kept], d_rgb[kept]
+            d_sigma, d_rgb = d_sigma[kept], d_rgb[kept]
         if last.ray is None or last.harmonics is None:
             raise RuntimeError("backward after density: use density_backward")
         d_sigma, d_rgb = _pad(d_sigma, len(last.u)), _pad(d_rgb, len(last.u))
@@ -91,19 +94,20 @@ class Field:
         padded = self._padded(u, table, footprint)
         return self.mlp.density(self.grid.encode(*padded))[: len(u)]
 
-    def density_forward(self, u: Tensor, table: Tensor, footprint: Tensor | None = None) -> Tensor:
-        """Return density (m,), 1/m, at places u (m, 3) of tables (m,), for `density_backward`."""
-        count = len(u)
-        u, table, footprint = self._padded(u, table, footprint)
+    def density_forward(self, samples: Samples, footprint: Tensor | None = None) -> Tensor:
+        """Return density (m,), 1/m, of samples, for `density_backward`; of those that only pad it may be 0."""
+        count = len(samples.u)
+        asked = self._asked(count, samples.used)
+        u, table, footprint = self._padded(samples.u[:asked], samples.table[:asked], _first(footprint, asked))
         features = self.grid.encode(u, table, footprint)
         self._forward = _Forward(u, table, footprint, features, None, None, count)
-        return self.mlp.density(features)[:count]
+        return _long(self.mlp.density(features), count)
 
     def density_backward(self, d_sigma: Tensor, kept: Tensor | None = None) -> None:
         """Set all gradients from that of the last `density_forward`, (m,); `kept` as in `backward`."""
-        last = self._last(d_sigma)
+        last = self._last(d_sigma, kept)
         if kept is not None:
-            last, d_sigma = self._part(last, kept), d_sigma[kept]
+            d_sigma = d_sigma[kept]
         d_features = self.mlp.density_backward(last.features, _pad(d_sigma, len(last.u)))
         self.grid.backward(last.u, last.table, last.footprint, d_features)
 
@@ -115,10 +119,25 @@ class Field:
         """Return the rounded copies that an optimiser may keep up to date as it goes, by the parameter's name."""
         return {"grid": self.grid.copy}
 
-    def _last(self, d_sigma: Tensor) -> _Forward:
-        if self._forward is None or self._forward.count != len(d_sigma):
+    def _last(self, d_sigma: Tensor, kept: Tensor | None) -> _Forward:
+        """Return what the last forward pass left: of the samples that are kept, or of all with the padding again."""
+        last = self._forward
+        if last is None or last.count != len(d_sigma):
             raise RuntimeError("backward without the forward pass it belongs to")
-        return self._forward
+        if kept is not None:
+            return self._part(last, kept)
+        count = self._blocks(last.count)
+        u, table, footprint = self._padded(last.u, last.table, last.footprint, count)
+        ray = None if last.ray is None else _pad(last.ray, count)
+        features = _pad(last.features.transpose(0, 1), count).transpose(0, 1).contiguous()
+        return _Forward(u, table, footprint, features, ray, last.harmonics, last.count)
+
+    def _asked(self, count: int, used: int) -> int:
+        """Return of how many of the first samples the kernels are asked, where all others only pad.
+
+        Those without blocks are asked of all: matrix libraries prepare themselves anew for every number.
+        """
+        return count if self._block == 1 else min(count, self._blocks(used))
 
     def _basis(self, units: Tensor) -> Tensor:
         """Return the harmonics (r, 16) of directions (r, 3); those of the last call where it had the same tensor."""
@@ -140,10 +159,21 @@ class Field:
         """Round a number of samples up to whole blocks of the kernels."""
         return -(-max(count, 1) // self._block) * self._block
 
-    def _padded(self, u: Tensor, table: Tensor, footprint: Tensor | None) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Fill up to a multiple of the kernels' block."""
-        count = self._blocks(len(u))
+    def _padded(
+        self, u: Tensor, table: Tensor, footprint: Tensor | None, count: int = 0
+    ) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Fill up to a multiple of the kernels' block, and to at least `count`."""
+        count = self._blocks(max(len(u), count))
         return _pad(u, count), _pad(table, count), None if footprint is None else _pad(footprint, count)
+
+
+def _first(x: Tensor | None, count: int) -> Tensor | None:
+    return None if x is None else x[:count]
+
+
+def _long(x: Tensor, count: int) -> Tensor:
+    """Cut or fill up with zeros along the first axis."""
+    return x[:count] if len(x) >= count else _pad(x, count)
 
 
 def _pad(x: Tensor, count: int) -> Tensor:

@@ -1,6 +1,7 @@
 """Adam with a learning-rate schedule that follows the progress of the fit, whether its budget is time or steps."""
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass
 
 import torch
@@ -72,11 +73,13 @@ class Optimiser:
         self._mean = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
         self._square = {name: torch.zeros_like(tensor) for name, tensor in parameters.items()}
 
-    def step(self, config: OptimiserConfig, progress: float) -> None:
-        """Move every parameter along its gradient; `progress` of the fit in [0, 1]."""
+    def step(self, config: OptimiserConfig, progress: float, still: Collection[str] = ()) -> None:
+        """Move parameters along their gradients, but for those that stand `still`; `progress` of the fit in [0, 1]."""
         self.steps += 1
         share = config.share(self.steps, progress)
         for name, tensor in self._parameters.items():
+            if name in still:
+                continue
             copy = self._copies.get(name)
             moments = self._mean[name], self._square[name]
             kernels = self._kernels or kernels_for(tensor.device).field

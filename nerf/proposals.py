@@ -19,6 +19,8 @@ from nerf.types import Gradients, GridConfig, Histogram, Key, Rays, Rendered, Sa
 
 PROPOSAL_GRID = GridConfig(levels=8, log2_size=15, finest=512)
 PROPOSAL_WIDTH = 16
+PROPOSAL = "proposal"
+"""What the names of their parameters begin with."""
 ANNEAL_SLOPE, ANNEAL_SHARE = 10.0, 0.2
 """Barron et al., CVPR 2022, section 4; over this share of the fit."""
 MARGIN = 0.002
@@ -51,9 +53,16 @@ class Proposals:
         self.fields = [Field(config, device, seed + i) for i in range(len(counts))]
         self._renderer = kernels_for(device).render
 
+    def learn_at(self, step: int, progress: float, every: int) -> bool:
+        """Tell whether the proposals learn at a step, from 0: at every one early in a fit, later at one of `every`.
+
+        After the schedule of nerfstudio's proposal networks; as there, they sample in all steps.
+        """
+        return bool(self.fields) and (progress < ANNEAL_SHARE or (step + 1) % every == 0)
+
     def named(self) -> dict[str, Field]:
         """Return the small fields by the names that their parameters go by."""
-        return {f"proposal{i}": proposal for i, proposal in enumerate(self.fields)}
+        return {f"{PROPOSAL}{i}": proposal for i, proposal in enumerate(self.fields)}
 
     def sample(
         self, rays: Rays, config: SamplerConfig, key: Key | None, progress: float
@@ -76,7 +85,7 @@ class Proposals:
         for proposal, (count, of_each) in zip(self.fields, [*counts, (most, each)], strict=True):
             cones = self.anti_aliased and rays.pixel
             footprint = self.sampler.space.footprint(samples, rays.pixel) if cones else None
-            sigma = proposal.density_forward(samples.u, samples.table, footprint)
+            sigma = proposal.density_forward(samples, footprint)
             rendered = self._renderer.forward(samples, sigma, *_colourless(sigma, len(rays)))
             rounds.append(Round(samples, sigma, rendered))
             weights = rendered.weights

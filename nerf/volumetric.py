@@ -23,7 +23,7 @@ from nerf.mlp import MLPConfig
 from nerf.model import StepResult
 from nerf.occupancy import Occupancy
 from nerf.optimise import Optimiser
-from nerf.proposals import Proposals, Round
+from nerf.proposals import PROPOSAL, Proposals, Round
 from nerf.ray_appearance import numbers
 from nerf.roulette import Wheel
 from nerf.sample import Sampler
@@ -156,8 +156,10 @@ class VolumetricModel:
             self.alignment.learn(frame, rays, prior_weight(rules, rays), batch.rendered)
         if self.converged is not None:
             self.converged.learn(pixels, batch.each.cpu())
-        add_up(self.parameters())
-        self._optimiser.step(config.optimiser, progress)
+        parameters = self.parameters()
+        still = [] if "interlevel" in batch.terms else [name for name in parameters if name.startswith(PROPOSAL)]
+        add_up({name: tensor for name, tensor in parameters.items() if name not in still})
+        self._optimiser.step(config.optimiser, progress, still)
         if step % OCCUPANCY_EVERY == 0:
             self.occupancy.update(self.field.density, key)
         return StepResult(batch.terms, batch.total, len(rays) * world.size, sum(world.counts(batch.samples)))
@@ -182,7 +184,7 @@ class VolumetricModel:
         d_sigma, d_rgb, d_sky = self._renderer.backward(samples, sigma, rgb, sky, rendered, batch.gradients)
         self._learn(samples, sigma, (d_sigma, d_rgb), key)
         self.sky.backward(d_sky)
-        if rounds:
+        if self.proposals.learn_at(key[1], progress, self.config.sampler.proposals_every):
             wheel = Wheel(self.config.sampler.roulette_proposals, key, roulette.PROPOSED)
             batch.terms["interlevel"] = self.proposals.backward(rounds, samples, rendered, rays.share, wheel)
         self.occupancy.observe(samples, sigma)

@@ -46,6 +46,7 @@ def test_a_switch_without_effect_is_left_out() -> None:
     assert OFF + "roulette_rays" not in variants(SPEC)  # off by default
     assert OFF + "roulette_proposals" not in variants(SPEC)  # ngp has no proposals
     assert OFF + "roulette_proposals" in variants(replace(SPEC, field="mip360"))
+    assert OFF + "proposals_every" not in variants(replace(SPEC, field="mip360"))  # off by default
     alone = variants(RunSpec("ngp", "sparse", NONE))
     assert not {OFF + name for name in ("guide", "carve", "trim", "align")} & set(alone)
     assert OFF + "terminate" in alone

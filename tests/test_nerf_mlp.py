@@ -13,6 +13,7 @@ from scipy.special import sph_harm_y
 
 from nerf.harmonics import harmonics
 from nerf.kernels.cpu import field as cpu
+from nerf.kernels.cpu import layers as kernel
 from nerf.kernels.cpu import perceptron
 from nerf.kernels.plain import field as plain
 from nerf.mlp import MLP, MLPConfig
@@ -197,3 +198,41 @@ def test_new_networks_start_from_an_even_fog():
 def test_wrong_sizes_are_told(wrong):
     with pytest.raises(DataError, match="expected"):
         MLPConfig(**wrong)
+
+
+def tiles_of(layer):
+    """A layer as the products take it, by PyTorch: rounded, padded, tiles of 16 x 32."""
+    rows, columns = kernel.padded(*layer.shape)
+    full = torch.zeros(rows, columns, dtype=torch.bfloat16)
+    full[: layer.shape[0], : layer.shape[1]] = layer
+    return full.view(rows // 16, 16, columns // 32, 32).permute(0, 2, 1, 3).flatten()
+
+
+@pytest.mark.parametrize("shape", [(64, 32), (16, 64), (3, 48), (32, 10), (1, 1)])
+@pytest.mark.parametrize("across", [False, True])
+def test_layers_are_cut_as_torch_rounds_and_lays_them(shape, across):
+    layer = torch.randn(shape) * 10.0 ** torch.randint(-30, 30, shape)
+    layer.view(-1)[:1] = torch.inf
+    wanted = tiles_of(layer.T if across else layer)
+    tiles = cpu._net(Layers(*[layer] * 5), across).density0
+    found = torch.from_numpy(tiles).view(torch.bfloat16) if kernel.PAIRED else torch.from_numpy(tiles)
+    assert torch.equal(found.float(), wanted.float())
+
+
+def test_what_is_no_number_stays_none_in_a_layer():
+    layer = torch.from_numpy(np.array([[0x7FFFFFFF, 0x7F800001, -1, 0]], np.int64).astype(np.int32)).view(torch.float32)
+    tiles = torch.from_numpy(cpu._net(Layers(*[layer] * 5)).colour1)
+    found = (tiles.view(torch.bfloat16) if kernel.PAIRED else tiles)[:4]
+    assert found.isnan().tolist() == [True, True, True, False]
+
+
+@pytest.mark.parametrize("shape", [(64, 32), (3, 48), (16, 64)])
+def test_the_parts_of_a_gradient_are_added_in_their_order(shape):
+    rows, columns = kernel.padded(*shape)
+    parts = torch.randn(5, rows // 16, columns // 16, 16, 16) * 10.0 ** torch.randint(-6, 6, (5, 1, 1, 1, 1))
+    total = parts[0].clone()
+    for part in parts[1:]:
+        total += part
+    out = torch.empty(shape)
+    kernel.join(parts.flatten(1).numpy(), *shape, out.view(-1).numpy())
+    assert torch.equal(out, total.permute(0, 2, 1, 3).reshape(rows, columns)[: shape[0], : shape[1]])

@@ -329,3 +329,19 @@ def test_cells_that_nobody_looked_at_stay() -> None:
     allowed, kept = torch.ones(thickness.shape, dtype=torch.uint8), torch.zeros(thickness.shape, dtype=torch.uint8)
     cpu_kernels().sample.prune(thickness, allowed, 0.03, kept)
     assert kept.all()
+
+
+@pytest.mark.parametrize("resolution", [5, 16, 72])
+def test_few_cells_that_were_looked_at_are_found_among_the_others(resolution: int) -> None:
+    fast, g = cpu_kernels().sample, torch.Generator().manual_seed(resolution)
+    thickness = torch.full((2, resolution, resolution, resolution), -1.0)
+    allowed = (torch.rand(thickness.shape, generator=g) > 0.3).to(torch.uint8)
+    allowed.view(-1)[-1] = 1
+    flat = thickness.view(-1)
+    flat[torch.randint(len(flat), (9,), generator=g)] = torch.rand(9, generator=g)
+    flat[-1] = 0.0  # a loop's last cell
+    kept = [torch.zeros_like(allowed) for _ in range(2)]
+    fast.prune(thickness, allowed, 0.5, kept[0])
+    twin.prune(thickness, allowed, 0.5, kept[1])
+    assert torch.equal(*kept)
+    assert kept[0].view(-1)[-1] == 0 < kept[0].sum()

@@ -8,7 +8,7 @@ import torch
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nerf import roulette
+from nerf import fields, roulette
 from nerf.config import FitConfig, ModelConfig
 from nerf.converged import MEMORY, Converged
 from nerf.field import Field, FieldConfig
@@ -244,3 +244,20 @@ def test_rays_into_the_sky_empty_what_they_pass() -> None:
     assert with_sky.share < 0.8 * without.share
     carved = Occupancy.carve(space("ball"), replace(drive, sky=np.zeros_like(shown)), 48)
     assert torch.equal(carved.kept, Occupancy.carve(space("ball"), drive, 48).kept)
+
+
+@pytest.mark.parametrize(
+    ("step", "progress", "learns"), [(1, 0.1, True), (2, 0.1, True), (40, 0.5, False), (43, 0.5, True)]
+)
+def test_proposals_learn_at_some_steps_once_they_follow_the_field(step: int, progress: float, learns: bool) -> None:
+    around = corridor("4")
+    model = ModelConfig("mip360", log2_size=12, finest=128, width=16, sampler=SamplerConfig(proposals_every=4))
+    fit = FitConfig(model, rays=64, steps=100, seconds=None)
+    field = fields.family("mip360").start(around, fit, "cpu")
+    field.train(around, fit, 0, 0.0)
+    before = {name: tensor.clone() for name, tensor in field.state().items()}
+    terms = field.train(around, fit, step, progress).terms
+    changed = {name for name, tensor in field.state().items() if not torch.equal(tensor, before[name])}
+    assert ("interlevel" in terms) == learns
+    assert ("model.proposal0.grid" in changed) == ("optimiser.proposal0.grid.mean" in changed) == learns
+    assert "model.field.grid" in changed

@@ -34,6 +34,7 @@ examples:
   priors train calibrate cfnet-s.safetensors --street samples/    stereo's confidence, from what training held back
   priors train calibrate mffnet-s.safetensors --street samples/ --real DATA    up to which density completion counts
   priors train surfaces cfnet-s.safetensors --street samples/ --real DATA    stereo's surface where it is unsure
+  priors train choice mffnet-s.safetensors --street samples/ --real DATA    completion's depth where it is unsure
 
 --help after any of these tells the rest"""
 
@@ -134,6 +135,18 @@ class CalibrateArguments:
     """Real data, as in training."""
     cache: Path | None = None
     """Where prepared real data is kept, as in training."""
+
+
+@dataclass(frozen=True)
+class ChoiceArguments:
+    """Arguments of `priors train choice`."""
+
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """Weights of a completion network, calibrated; their header is rewritten."""
+    street: Path = Path("samples")
+    """Folder of `priors train samples`."""
+    real: Path | None = None
+    """Real data, as in training."""
 
 
 @dataclass(frozen=True)
@@ -286,6 +299,20 @@ def fit_surfaces(args: SurfacesArguments) -> None:
         out.print(line)
 
 
+def fit_choice(args: ChoiceArguments) -> None:
+    """Fit which depth a completion network's pixel gets where it is unsure."""
+    from priors.learn import choice_fit
+    from priors.nets import weights
+
+    net = weights.read_about(args.file).get("net")
+    if net != "mffnet":
+        raise DataError(f"{args.file}: of {net}, which completes nothing: a completion network chooses among depths")
+    with busy("fitting the choice of depths"):
+        lines = choice_fit.fit_file(args.file, args.street, args.real)
+    for line in lines:
+        out.print(line)
+
+
 STEREO = ("cfnet", "pcwnet")
 """Networks whose confidence is calibrated."""
 KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
@@ -297,6 +324,7 @@ KINDS: dict[str, tuple[type[Any], Callable[[Any], None]]] = {
     "pack-crops": (PackCropsArguments, pack_crops),
     "calibrate": (CalibrateArguments, calibrate),
     "surfaces": (SurfacesArguments, fit_surfaces),
+    "choice": (ChoiceArguments, fit_choice),
 }
 """What follows `priors train`: its arguments and what it does."""
 ARGUMENTS = {f"priors train {name}": kind for name, (kind, _) in KINDS.items()}

@@ -59,6 +59,7 @@ SWITCHES = (
     Switch("terminate", _sampler(terminate=0.0)),
     Switch("roulette_samples", _sampler(roulette_samples=1.0)),
     Switch("roulette_proposals", _sampler(roulette_proposals=1.0), of_proposals=True),
+    Switch("proposals_every", _sampler(proposals_every=1), of_proposals=True),
     Switch("roulette_rays", _sampler(roulette_rays=1.0)),
     Switch("sky_opacity", _losses(sky_opacity=0.0), samples=False),
     Switch("trim", _losses(trim=0.0), samples=False, of_prior=True),

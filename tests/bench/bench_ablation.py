@@ -52,7 +52,8 @@ class Row:
         return replace(fit, align=self.align, **self.fit)
 
 
-SKIPS_OFF = {"terminate": 0.0, "roulette_samples": 1.0, "roulette_proposals": 1.0, "render_proposed": None}
+SKIPS_OFF = {"terminate": 0.0, "roulette_samples": 1.0, "roulette_proposals": 1.0, "proposals_every": 1}
+SKIPS_OFF |= {"render_proposed": None}
 ROWS = [
     Row("default"),
     Row("colours alone", scene=lambda scene: replace(scene, depth_m=None, weight=None, sky=None)),

@@ -1,8 +1,9 @@
 """Processor time of a step and of a view with the skips and without them: python tests/bench/bench_skips.py [FIELD ...]
 
 Two fits of the same seed on a street take their steps in turns, so that what else the machine does hits both. `off` has
-none of terminate, roulette_samples, roulette_proposals, carve_sky and sky_opacity; `bare` has no carving and no guiding
-either, and `render_proposed` of none. Milliseconds of user and system time; quality is `nerf bench`'s matter.
+none of terminate, roulette_samples, roulette_proposals, proposals_every, carve_sky and sky_opacity; `bare` has no
+carving and no guiding either, and `render_proposed` of none. Milliseconds of user and system time; quality is
+`nerf bench`'s matter.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from priors.methods.stereo import Stereo
 from priors.street.write import write_street
 
 SIZE, FRAMES, STEPS, LAST = (120, 397), 40, 400, 100
-OFF = SamplerConfig(terminate=0.0, roulette_samples=1.0, roulette_proposals=1.0, carve_sky=False)
+OFF = SamplerConfig(terminate=0.0, roulette_samples=1.0, roulette_proposals=1.0, proposals_every=1, carve_sky=False)
 WAYS = {"bare": replace(OFF, carve=False, guide=False), "off": OFF, "on": SamplerConfig()}
 
 

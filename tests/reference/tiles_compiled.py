@@ -19,11 +19,11 @@ from nerf.kernels.cpu import perceptron  # noqa: E402
 words, numbers = np.zeros(512, np.int32), np.zeros(256, np.float32)
 net = perceptron.Net(4, *[words] * 5)
 inputs = perceptron.Inputs(words.reshape(8, 64), words, words)
-total = perceptron.Totals(*[numbers] * 5)
+totals = perceptron.Totals(*[numbers.reshape(1, 256)] * 5)
 ends = 0, 64
 calls = {
     "forward": (net, inputs, 0.02, numbers, numbers, *ends),
-    "backward": (net, net, inputs, 0.02, numbers, numbers, words.reshape(8, 64), total, *ends),
+    "backward": (net, net, inputs, 0.02, (numbers, numbers), words.reshape(8, 64), totals, 64, 0, 1),
 }
 for name, arguments in calls.items():
     function = getattr(perceptron, name)

@@ -4,6 +4,7 @@ Features, weights, activations and their gradients are rounded to bfloat16 where
 every kind of CPU; products add up in float32. Each call is tasks of one pool; results do not depend on their order.
 """
 
+import math
 from typing import Any
 
 import numpy as np
@@ -113,28 +114,26 @@ def _backward(
     d_sigma: Tensor,
     d_rgb: Tensor | None,
 ) -> tuple[Tensor, Layers]:
+    from nerf.kernels.cpu import layers as kernel
     from nerf.kernels.cpu import perceptron
 
     d_features = torch.empty(features.shape, dtype=torch.bfloat16)
-    shapes = [_padded_shape(layer) for layer in layers]
-    totals = [np.zeros((perceptron.PARTS, rows * columns), np.float32) for rows, columns in shapes]
+    count = features.shape[1]
+    stretch = max(1, -(-count // (SAMPLES_MULTIPLE * perceptron.PARTS))) * SAMPLES_MULTIPLE
+    parts = -(-count // stretch)
+    totals = kernel.Totals(*(np.empty((parts, math.prod(kernel.padded(*layer.shape))), np.float32) for layer in layers))
     d_outputs = d_sigma.contiguous().numpy(), _NONE if d_rgb is None else d_rgb.contiguous().numpy().reshape(-1)
-    nets = _net(layers), _net(Layers(*(layer.T for layer in layers)))
-    inputs, out, count = _inputs(features, harmonics, ray), _words(d_features), features.shape[1]
-    stretch = -(-count // (SAMPLES_MULTIPLE * perceptron.PARTS)) * SAMPLES_MULTIPLE
+    nets, inputs, out = (_net(layers), _net(layers, across=True)), _inputs(features, harmonics, ray), _words(d_features)
 
-    def work(part: int) -> None:
-        total = perceptron.Totals(*(each[part] for each in totals))
-        ends = part * stretch, min(count, (part + 1) * stretch)
-        perceptron.backward(*nets, inputs, initial, *d_outputs, out, total, *ends)
+    def work(first: int, last: int) -> None:
+        perceptron.backward(*nets, inputs, initial, d_outputs, out, totals, stretch, first, last)
 
-    threads.run(-(-count // stretch) if count else 0, work)
-    gradients = []
-    for layer, total, (rows, columns) in zip(layers, totals, shapes, strict=True):
-        tiled = torch.from_numpy(total.sum(0)).view(rows // 16, columns // 16, 16, 16)
-        whole = tiled.permute(0, 2, 1, 3).reshape(rows, columns)
-        gradients.append(whole[: layer.shape[0], : layer.shape[1]].contiguous())
-    return d_features, Layers(*gradients)
+    threads.over(parts, work)
+    gradients = Layers(*(torch.zeros(layer.shape) for layer in layers))
+    if parts:
+        for total, gradient in zip(totals, gradients, strict=True):
+            kernel.join(total, *gradient.shape, gradient.view(-1).numpy())
+    return d_features, gradients
 
 
 def _inputs(features: Tensor, harmonics: Tensor | None, ray: Tensor | None) -> Any:
@@ -146,23 +145,20 @@ def _inputs(features: Tensor, harmonics: Tensor | None, ray: Tensor | None) -> A
     return perceptron.Inputs(_words(features), basis, ray.contiguous().numpy())
 
 
-def _net(layers: Layers) -> Any:
-    """Round the layers and cut them into tiles of 16 outputs and 32 inputs, as the products take them."""
-    from nerf.kernels.cpu import perceptron, products
+def _net(layers: Layers, across: bool = False) -> Any:
+    """Round the layers and cut them, or where `across` their transposes, into tiles as the products take them."""
+    from nerf.kernels.cpu import layers as kernel
+    from nerf.kernels.cpu.products import OPERAND
 
-    width = layers.colour1.shape[0]
-    tiled = []
+    tiled: list[Any] = []
     for layer in layers:
-        rows, columns = _padded_shape(layer)
-        full = torch.zeros(rows, columns, dtype=torch.bfloat16)
-        full[: layer.shape[0], : layer.shape[1]] = layer
-        parts = full.view(rows // 16, 16, columns // 32, 32).permute(0, 2, 1, 3).reshape(-1, 2)
-        tiled.append(_words(parts) if products.OPERAND is np.int32 else parts.float().numpy().reshape(-1))
-    return perceptron.Net(width // 16, *tiled)
-
-
-def _padded_shape(layer: Tensor) -> tuple[int, int]:
-    return -(-layer.shape[0] // 16) * 16, -(-layer.shape[1] // 32) * 32
+        steps, shape = (layer.shape[1], 1), tuple(layer.shape)
+        if across:
+            steps, shape = steps[::-1], shape[::-1]
+        tiles = np.empty(math.prod(kernel.padded(*shape)) // (2 if kernel.PAIRED else 1), OPERAND)
+        kernel.cut(layer.view(-1).numpy().view(np.int32), *shape, *steps, tiles.view(np.int32))
+        tiled.append(tiles)
+    return kernel.Net(layers.colour1.shape[0] // 16, *tiled)
 
 
 def _words(pairs: Tensor) -> Any:

@@ -238,6 +238,16 @@ def where_nonzero(typing: Any, test: Any, value: Any) -> Any:
 
 
 @intrinsic
+def shared_bits(typing: Any, a: Any) -> Any:
+    """Return the bits that all 16 ints have, as int64: below 0 where all of them are."""
+
+    def gen(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+        return builder.sext(_call(builder, "llvm.vector.reduce.and.v16i32", _I32, list(args)), ir.IntType(64))
+
+    return types.int64(Ints), gen
+
+
+@intrinsic
 def gather(typing: Any, array: Any, base: Any, index: Any) -> Any:
     """Return the int32 of a flat array at base + 16 indices."""
 

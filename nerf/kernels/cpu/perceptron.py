@@ -25,41 +25,18 @@ from nerf.kernels.cpu.lanes import (
     transpose,
     where_nonzero,
 )
+from nerf.kernels.cpu.layers import Net, Operands, Totals
 from nerf.kernels.cpu.products import OPERAND, TILE, begin, end, pack, product, product_added, store_operand
 from priors.machine.compiled import compiled
 
 Words = npt.NDArray[np.int32]
 Numbers = npt.NDArray[np.float32]
-Operands = npt.NDArray[np.int32] | npt.NDArray[np.float32]
-"""Tiles as the left side of a product: words of two bfloat16, or two float32 for each."""
 CHUNK_GROUPS = 16  # of 16 samples in a chunk; a multiple of 4
 WORDS = 1 if OPERAND is np.int32 else 2
 """Numbers of an operand for a word."""
 PARTS = 32  # the samples' parts, whose weight gradients are added in order, whoever did them
 
 # Arguments of compiled functions are wrapped, np.int64(1): a bare literal would have them compiled once more.
-
-
-class Net(NamedTuple):
-    """Weights as tiles: (out / 16, in / 32) of 16 x 16 pairs, flat, padded with zeros; bfloat16 or rounded to it."""
-
-    tiles: int
-    """Rows of tiles of a hidden layer: its width / 16."""
-    density0: Operands
-    density1: Operands
-    colour0: Operands
-    colour1: Operands
-    colour2: Operands
-
-
-class Totals(NamedTuple):
-    """Gradients of the weights as tiles: (out / 16, in / 16) of 16 x 16 float32, flat."""
-
-    density0: Numbers
-    density1: Numbers
-    colour0: Numbers
-    colour1: Numbers
-    colour2: Numbers
 
 
 class Inputs(NamedTuple):
@@ -311,36 +288,53 @@ def backward(
     back: Net,
     inputs: Inputs,
     initial: float,
-    d_sigma: Numbers,
-    d_rgb: Numbers,
+    d_outputs: tuple[Numbers, Numbers],
     d_features: Words,
-    total: Totals,
+    totals: Totals,
+    stretch: int,
     first: int,
     last: int,
 ) -> None:
-    """Write the gradient of the features (levels, m) of samples first to last, and add that of the weights to `total`.
+    """Write the gradient of the features (levels, m) of parts first to last, and that of the weights by each part.
 
-    `back`: the transposes of `net`. The gradient's sum goes chunk by chunk: other ends, another rounding.
+    `back`: the transposes of `net`; d_outputs: by density (m,) and by colour (3 m,), or empty; `stretch`: samples of a
+    part, a multiple of 64. The gradient's sum goes chunk by chunk: other parts, another rounding.
     """
     begin()
     work = _workspace(net.tiles)
     sigma = np.empty(16 * CHUNK_GROUPS, dtype=np.float32)
     rgb = np.empty(48 * CHUNK_GROUPS, dtype=np.float32)
-    depth = (net.tiles + 1) // 2
-    coloured = inputs.basis.size > 0
-    for start in range(first, last, 16 * CHUNK_GROUPS):
-        groups = min(CHUNK_GROUPS, (last - start) // 16)
-        _forward(net, inputs, initial, start, groups, work, sigma, rgb, np.int64(0))
-        if coloured:
-            work.last[:] = 0
-            _colours_back(net, back, work, total, d_rgb, rgb, start, groups)
-        _geometry_back(net, back, work, d_sigma, sigma, coloured, start, groups)
-        _accumulate(
-            work.last, np.int64(1), np.int64(16), work.first, depth, groups, work.left, work.right, total.density1
-        )
-        _returned(back.density1, net.tiles, np.int64(8), work.last, work.first, work.d_one, groups, work.sums)
-        _accumulate(
-            work.d_one, net.tiles, np.int64(16), work.x, np.int64(1), groups, work.left, work.right, total.density0
-        )
-        _features_back(net, back, work, start, groups, d_features)
+    for part in range(first, last):
+        total = _part(totals, part)
+        end_of_part = min((part + 1) * stretch, inputs.features.shape[1])
+        for start in range(part * stretch, end_of_part, 16 * CHUNK_GROUPS):
+            groups = min(CHUNK_GROUPS, (end_of_part - start) // 16)
+            _forward(net, inputs, initial, start, groups, work, sigma, rgb, np.int64(0))
+            _chunk_back(net, back, work, total, d_outputs, (sigma, rgb), start, groups, d_features)
     end()
+
+
+@compiled
+def _part(totals, part):  # type: ignore[no-untyped-def]
+    """Return a part's totals, set to zero."""
+    total = Totals(
+        totals.density0[part], totals.density1[part], totals.colour0[part], totals.colour1[part], totals.colour2[part]
+    )
+    for each in total:
+        each[:] = 0
+    return total
+
+
+@compiled
+def _chunk_back(net, back, work, total, d_outputs, outputs, start, groups, d_features):  # type: ignore[no-untyped-def]
+    """Take a chunk's gradient back through both networks; `outputs`: its densities and colours."""
+    (d_sigma, d_rgb), (sigma, rgb), depth = d_outputs, outputs, (net.tiles + 1) // 2
+    coloured = d_rgb.size > 0
+    if coloured:
+        work.last[:] = 0
+        _colours_back(net, back, work, total, d_rgb, rgb, start, groups)
+    _geometry_back(net, back, work, d_sigma, sigma, coloured, start, groups)
+    _accumulate(work.last, np.int64(1), np.int64(16), work.first, depth, groups, work.left, work.right, total.density1)
+    _returned(back.density1, net.tiles, np.int64(8), work.last, work.first, work.d_one, groups, work.sums)
+    _accumulate(work.d_one, net.tiles, np.int64(16), work.x, np.int64(1), groups, work.left, work.right, total.density0)
+    _features_back(net, back, work, start, groups, d_features)
