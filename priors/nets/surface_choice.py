@@ -105,13 +105,7 @@ class SurfaceChoice:
         """
         from priors.kernels.dense import dense
 
-        values = np.ascontiguousarray(clues[: len(self.layers[0][0])], np.float32)
-        for number, (weight, bias) in enumerate(self.layers):
-            if number:
-                np.maximum(values, 0, out=values)
-            answer = np.empty((bias.size, values.shape[1]), np.float32)
-            dense(values, weight, bias, answer)
-            values = answer
+        values = dense(np.ascontiguousarray(clues[: len(self.layers[0][0])], np.float32), self.layers)
         share = np.exp(np.clip(values - values.max(axis=0), -LARGEST_LOGIT, 0))
         return np.asarray((share * offered_px).sum(axis=0) / share.sum(axis=0), np.float32)
 
