@@ -231,6 +231,7 @@ def test_a_fit_goes_the_way_of_the_twins(monkeypatch: pytest.MonkeyPatch) -> Non
     for kernels, device in ((triton_kernels(), DEVICE), (plain_kernels(), torch.device("cpu"))):
         for module in (gaussians_model, gaussians_losses):
             monkeypatch.setattr(module, "kernels_for", lambda device, kernels=kernels: kernels)
+        monkeypatch.setattr(gaussians_model, "rasteriser_for", lambda device, chosen, kernels=kernels: kernels.splat)
         made = planted(scene, config, device)
         first = made.train(scene, config, 0, 0.0)
         means = [home(x).clone() for x in made.moments.mean.tensors().values()]  # a tenth of the gradients
