@@ -5,6 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 import pytest
@@ -341,6 +342,24 @@ def test_a_sweep_is_cleaned_gently() -> None:
         as_before = complete(gentle.lidar(one).depth_m, GREY, CAMERA).depth_m
         np.testing.assert_array_equal(full(one).depth_m, as_before)
         assert not np.array_equal(full(one).depth_m, want)
+
+
+def test_a_network_gets_a_single_sweep_without_the_test_by_stereo() -> None:
+    """A pair that sees a wall at 8 m takes points at 20 m from all others: several sweeps, the fill, full cleaning."""
+    ahead = np.stack([np.full(6000, 20.0), *np.random.default_rng(3).uniform((-5, -2), (5, 1), (6000, 2)).T], axis=1)
+    read = {"sweep": lambda offset=0: Sweep(ahead.astype(F), None) if offset == 0 else None}
+    noise = cv2.GaussianBlur(np.random.default_rng(4).integers(0, 255, GREY.shape).astype(np.uint8), (0, 0), 1)
+    shifted = np.roll(noise, -round(CAMERA.fx * 0.5 / 8), axis=1)
+    paired = replace(frame(**read, image=lambda: noise, other=lambda: shifted), baseline_m=0.5)
+    posed = replace(paired, T_world_cam=np.eye(4))
+
+    def shown(config: Completion, one: Frame = paired) -> int:
+        return int((config.resolve(one)._samples(one)[0] > 0).sum())
+
+    network = Completion(model="mffnet")
+    assert shown(network) == shown(replace(network, lidar=Lidar(stereo=False))) > 0
+    tested = (shown(Completion()), shown(replace(network, cleaning="full")), shown(network, posed))
+    assert max(tested) < 0.6 * shown(network)
 
 
 def test_maps_of_before_are_found_where_cleaning_decides_nothing() -> None:

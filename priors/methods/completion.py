@@ -31,7 +31,8 @@ class Completion(Method):
     """The lidar method's settings, where it is the source."""
     cleaning: Literal["gentle", "full"] = "gentle"
     """How the lidar method's test of occlusion looks for nearer surfaces. gentle: in smaller windows, which leave more
-    samples at outlines, and for a single sweep with the scanner's place; full: as for its own maps."""
+    samples at outlines, and for a single sweep with the scanner's place, and for a network without the test by stereo;
+    full: as for its own maps."""
     guidance: float = 1.0
     """How much the image's brightness decides which sample a pixel follows; 0: only distance does."""
     reach_px: int = 64
@@ -91,6 +92,8 @@ class Completion(Method):
         resolved = replace(self, source=source, lidar=self.lidar.resolve(frame))
         if source == "velodyne_raw" or not (resolved.lidar.occlusion or resolved.lidar.sweeps == 1):
             resolved = replace(resolved, cleaning="full")  # it decides nothing
+        elif self.cleaning == "gentle" and resolved.lidar.sweeps == 1 and self.network:
+            resolved = replace(resolved, lidar=replace(resolved.lidar, stereo=False))  # what is wrong, it finds itself
         network = self.network
         if network is None:
             return replace(resolved, size=type(self).size, runtime=type(self).runtime)  # they decide nothing
