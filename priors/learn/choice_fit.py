@@ -11,13 +11,11 @@ what it is worth on scenes that it has not seen. What is written goes into the h
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 import torch
-from torch import nn
 
 from priors.errors import DataError
 from priors.learn import lidar_scene
@@ -26,6 +24,7 @@ from priors.learn.lidar_dropout import CompletionExample, Density, drop_points
 from priors.learn.lidar_scene import LidarScene
 from priors.learn.moment import STREET
 from priors.learn.real_scenes import RealScenes
+from priors.learn.rule_net import NEIGHBOURS, PARTS, RuleNet, draw_batch, leave_out
 from priors.learn.sample_folder import SampleFolder
 from priors.methods import _completion_choice as choice
 from priors.methods._completion_choice import DepthChoice, Pixels
@@ -34,7 +33,6 @@ from priors.methods._completion_network import look
 from priors.methods.completion import Completion
 from priors.nets import runtime, weights
 from priors.nets.runtime import Ready
-from priors.nets.surface_choice import SurfaceChoice
 from priors.types import FloatMap
 
 PER_MAP = 4000
@@ -48,8 +46,6 @@ HIDDEN = (24, 24)
 STEPS, BATCH, RATE, DECAY = 3000, 2048, 5e-3, 1e-3
 SQUARED = 0.1
 """Weight of the squared error (m²) against the absolute one (m); the network learned with five times as much."""
-PARTS, NEIGHBOURS = 4, 5
-"""Into how many parts the scenes are split, and how many that follow each other stay together: they look alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,18 +133,14 @@ def _draw(ready: Ready, example: CompletionExample, rng: np.random.Generator) ->
 
 def fit(pixels: KnownPixels, seed: int = 0) -> DepthChoice:
     """Fit a choice to pixels by AdamW; the clues' mean and spread go into the first layer."""
-    mean, spread = pixels.clues.mean(axis=1), pixels.clues.std(axis=1) + 1e-6
-    clues = torch.from_numpy(((pixels.clues - mean[:, None]) / spread[:, None]).T.astype(np.float32))
+    net = RuleNet(pixels.clues, (choice.CLUES, *HIDDEN, choice.OFFERED), seed)
     offered, truth = torch.from_numpy(np.ascontiguousarray(pixels.offered.T)), torch.from_numpy(pixels.truth)
     weight = torch.from_numpy(pixels.weight / pixels.weight.mean())
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        net = _make_net()
-    optimiser = torch.optim.AdamW(net.parameters(), RATE, weight_decay=DECAY)
+    optimiser = torch.optim.AdamW(net.net.parameters(), RATE, weight_decay=DECAY)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=STEPS)
     for step in range(STEPS):
-        at = torch.from_numpy(np.random.default_rng([seed, step]).integers(len(truth), size=BATCH))
-        chosen = (net(clues[at]).softmax(1) * offered[at]).sum(1)
+        at = draw_batch(seed, step, len(truth), BATCH)
+        chosen = net.choose(at, offered)
         error_m = (chosen.exp() - truth[at].exp()).abs()
         inside = error_m.clamp_max(HUBER_M)
         squared = inside * inside + 2 * HUBER_M * (error_m - inside)
@@ -157,32 +149,16 @@ def fit(pixels: KnownPixels, seed: int = 0) -> DepthChoice:
         loss.backward()
         optimiser.step()
         schedule.step()
-    dense = [each for each in net if isinstance(each, nn.Linear)]
-    layers = [(np.ascontiguousarray(each.weight.detach().numpy().T), each.bias.detach().numpy()) for each in dense]
-    first, bias = layers[0]
-    layers[0] = first / spread[:, None], bias - (mean / spread) @ first
-    return DepthChoice(SurfaceChoice(tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in layers)))
-
-
-def _make_net() -> nn.Sequential:
-    """Make a network that at first says: the completion network's own."""
-    dense = [nn.Linear(*sides) for sides in pairwise((choice.CLUES, *HIDDEN, choice.OFFERED))]
-    net = nn.Sequential(*(part for each in dense[:-1] for part in (each, nn.ReLU())), dense[-1])
-    weight, bias = dense[-1].parameters()
-    with torch.no_grad():
-        weight.mul_(0.1)
-        bias[0] = 2.0
-    return net
+    return DepthChoice(net.rule())
 
 
 def cross_validate(pixels: KnownPixels) -> Iterator[str]:
     """Leave each part out in turn, and say of each source what the choice is worth on scenes that it has not seen."""
-    chosen = pixels.offered[0].copy()
-    for part in range(PARTS):
-        apart = pixels.part == part
-        if apart.any() and not apart.all():
-            rest = fit(pixels.take(~apart))
-            chosen[apart] = rest.decide(pixels.clues[:, apart], pixels.offered[:, apart])
+
+    def decide(apart: npt.NDArray[np.bool_]) -> FloatMap:
+        return fit(pixels.take(~apart)).decide(pixels.clues[:, apart], pixels.offered[:, apart])
+
+    chosen = leave_out(pixels.offered[0], pixels.part, decide)
     for source in dict.fromkeys(pixels.source.tolist()):
         here = pixels.source == source
         truth, weight = pixels.truth[here], pixels.weight[here]

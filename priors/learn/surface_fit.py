@@ -10,7 +10,6 @@ is left out in turn: that says what it is worth on pairs that it has not seen. W
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +22,7 @@ from priors.adapt.views import to_tensor
 from priors.errors import DataError
 from priors.learn import pair_file
 from priors.learn.real_truth import DRIVE, KITTI2015
+from priors.learn.rule_net import NEIGHBOURS, PARTS, RuleNet, draw_batch, leave_out
 from priors.learn.stereo_data import Folders, find_sources
 from priors.learn.stereo_pair import StereoPair
 from priors.nets import runtime, surface_choice, weights
@@ -54,8 +54,6 @@ OUTLIER_WEIGHT, METRE_WEIGHT, PIXEL_WEIGHT = 0.3, 0.0015, 0.01
 """Of an outlier, a metre and a pixel beside a relative error of 1."""
 MOST_RELATIVE, MOST_M, MOST_PX = 3.0, 20.0, 30.0
 """Errors above count little more, or no more."""
-PARTS, NEIGHBOURS = 4, 5
-"""Into how many parts the pairs are split, and how many that follow each other stay together: they look alike."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -159,40 +157,19 @@ def _draw(
 
 def fit(pixels: UnsurePixels, seed: int = 0) -> SurfaceChoice:
     """Fit a choice to pixels by Adam; the clues' mean and spread go into the first layer."""
-    mean, spread = pixels.clues.mean(axis=1), pixels.clues.std(axis=1) + 1e-6
-    clues = torch.from_numpy(((pixels.clues - mean[:, None]) / spread[:, None]).T.astype(np.float32))
+    net = RuleNet(pixels.clues, (len(pixels.clues), *HIDDEN, len(pixels.offered_px)), seed)
     offered_px = torch.from_numpy(np.ascontiguousarray(pixels.offered_px.T))
     truth_px, weight = torch.from_numpy(pixels.truth_px), torch.from_numpy(pixels.weight / pixels.weight.mean())
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(seed)
-        net = _make_net(len(pixels.clues), len(pixels.offered_px))
-    optimiser = torch.optim.Adam(net.parameters(), RATE)
+    optimiser = torch.optim.Adam(net.net.parameters(), RATE)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimiser, STEPS)
     for step in range(STEPS):
-        at = torch.from_numpy(np.random.default_rng([seed, step]).integers(len(truth_px), size=BATCH))
-        chosen_px = (net(clues[at]).softmax(1) * offered_px[at]).sum(1)
-        loss = (weight[at] * cost(chosen_px, truth_px[at])).mean()
+        at = draw_batch(seed, step, len(truth_px), BATCH)
+        loss = (weight[at] * cost(net.choose(at, offered_px), truth_px[at])).mean()
         optimiser.zero_grad()
         loss.backward()
         optimiser.step()
         schedule.step()
-    dense = [each for each in net if isinstance(each, nn.Linear)]
-    layers = [(np.ascontiguousarray(each.weight.detach().numpy().T), each.bias.detach().numpy()) for each in dense]
-    first, bias = layers[0]
-    layers[0] = first / spread[:, None], bias - (mean / spread) @ first
-    return SurfaceChoice(tuple((weight.astype(np.float32), bias.astype(np.float32)) for weight, bias in layers))
-
-
-def _make_net(clues: int, offered: int) -> nn.Sequential:
-    """Make a network that at first says: the map's own."""
-    sides = clues, *HIDDEN, offered
-    dense = [nn.Linear(*side) for side in pairwise(sides)]
-    net = nn.Sequential(*(part for each in dense[:-1] for part in (each, nn.ReLU())), dense[-1])
-    weight, bias = dense[-1].parameters()
-    with torch.no_grad():
-        weight.mul_(0.1)
-        bias[0] = 2.0
-    return net
+    return net.rule()
 
 
 def cost(chosen_px: Tensor, truth_px: Tensor) -> Tensor:
@@ -207,12 +184,11 @@ def cost(chosen_px: Tensor, truth_px: Tensor) -> Tensor:
 
 def cross_validate(pixels: UnsurePixels) -> Iterator[str]:
     """Leave each part out in turn, and say of each source what the choice is worth on pairs that it has not seen."""
-    chosen_px = pixels.offered_px[0].copy()
-    for part in range(PARTS):
-        apart = pixels.part == part
-        if apart.any() and not apart.all():
-            rest = fit(pixels.take(~apart))
-            chosen_px[apart] = rest.decide(pixels.clues[:, apart], pixels.offered_px[:, apart])
+
+    def decide(apart: npt.NDArray[np.bool_]) -> FloatMap:
+        return fit(pixels.take(~apart)).decide(pixels.clues[:, apart], pixels.offered_px[:, apart])
+
+    chosen_px = leave_out(pixels.offered_px[0], pixels.part, decide)
     for source in dict.fromkeys(pixels.source.tolist()):
         here = pixels.source == source
         truth_px, weight = pixels.truth_px[here], pixels.weight[here]

@@ -89,12 +89,11 @@ class Completion(Method):
         source = self.source
         if source == "auto":
             source = "velodyne_raw" if frame.has("sparse") else "lidar"
-        resolved = replace(self, source=source, lidar=self.lidar.resolve(frame))
+        network, resolved = self.network, replace(self, source=source, lidar=self.lidar.resolve(frame))
         if source == "velodyne_raw" or not (resolved.lidar.occlusion or resolved.lidar.sweeps == 1):
             resolved = replace(resolved, cleaning="full")  # it decides nothing
-        elif self.cleaning == "gentle" and resolved.lidar.sweeps == 1 and self.network:
+        elif self.cleaning == "gentle" and resolved.lidar.sweeps == 1 and network:
             resolved = replace(resolved, lidar=replace(resolved.lidar, stereo=False))  # what is wrong, it finds itself
-        network = self.network
         if network is None:
             return replace(resolved, size=type(self).size, runtime=type(self).runtime)  # they decide nothing
         if network.weights is not None and network.weights.suffix == ".onnx":
